@@ -1,0 +1,58 @@
+# The whole developer interface. Each target makes the environment it needs; `make` alone lists them.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+NAME ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo serve test check bench format lock clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*?## ' $(MAKEFILE_LIST) | awk -F':.*?## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+
+demo: $(VENV)/runtime  ## four real videos in over HTTP, a gait report out
+	$(BIN)/gonio demo
+
+serve: $(VENV)/runtime  ## start the service on 127.0.0.1:8000
+	$(BIN)/gonio serve
+
+test: $(VENV)/dev  ## all tests
+	$(BIN)/python -m pytest -n auto --dist loadgroup $(ARGS)
+
+check: $(VENV)/dev  ## format, lint, types, import contracts, unit and law tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q -n auto -m "not slow" tests/unit tests/laws tests/architecture
+
+bench: $(VENV)/dev  ## accuracy and speed against the rivals; NAME=keypoints for one
+	$(BIN)/gonio bench $(NAME)
+
+format: $(VENV)/dev  ## format and mend what ruff can
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+lock: $(VENV)/dev  ## pin every dependency again, hashed, naming no index
+	$(BIN)/python -m pip install -q uv
+	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --quiet \
+	  --extra models --group build pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --quiet \
+	  --group dev --group build --extra models -c requirements.lock pyproject.toml -o requirements-dev.lock
+
+clean:  ## remove what the build made
+	rm -rf build dist $(VENV)
+
+# A stamp a kind: the environment is made again when its lock changes.
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit("gonio needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Try: make PYTHON=python3.11") if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/runtime: requirements.lock pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $@
+
+$(VENV)/dev: requirements-dev.lock $(VENV)/runtime
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	touch $@

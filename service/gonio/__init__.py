@@ -1,0 +1,1 @@
+"""gonio: a self-hosted gait laboratory."""

@@ -1,0 +1,1 @@
+"""The HTTP service: FastAPI app, dependencies, schemas, the error table and the routes."""

@@ -1,0 +1,1 @@
+"""Durable jobs, workers and the artefact store."""

@@ -1,0 +1,1 @@
+"""Camera calibration and the lab frame."""

@@ -1,0 +1,1 @@
+"""Transforms, cameras, lens distortion, projection."""

@@ -1,0 +1,1 @@
+"""Median filter, zero-lag low-pass and gaps: smoothing that never invents data."""

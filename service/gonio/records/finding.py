@@ -1,0 +1,26 @@
+"""A finding: a degraded result that the report must show."""
+
+from typing import Literal
+
+from gonio.records.record import record
+
+Severity = Literal["info", "warning", "serious"]
+
+
+@record
+class Finding:
+    """Something about the recording or the result that its reader has to know.
+
+    ``code`` is stable and documented (docs/reference/findings.md). ``message`` is a sentence a clinician understands,
+    ``hint`` what to do about it next time. ``where`` names the camera, file, joint or keypoint, ``value`` the measured
+    number behind the sentence with its unit in ``unit``.
+    """
+
+    code: str
+    severity: Severity
+    stage: str
+    message: str
+    hint: str
+    where: str = ""
+    value: float | None = None
+    unit: str = ""
