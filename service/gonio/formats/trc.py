@@ -114,7 +114,8 @@ def _rate_hz(given: str, times_s: Float[np.ndarray, " frame"]) -> float:
 def write_trc(path: Path, trajectories: Trajectories) -> None:
     """Write a ``.trc`` file in millimetres that OpenSim opens; missing points are blank.
 
-    Ten micrometres and a microsecond are kept: finer than any camera, and times that OpenSim takes for uniform.
+    A hundredth of a micrometre and a microsecond are kept: finer than any camera, and times that OpenSim takes for
+    uniform. Each row ends with a tab, without which OpenSim refuses a row whose last marker is missing.
     """
     count, names = len(trajectories.times_s), trajectories.names
     rate = f"{trajectories.rate_hz:.6g}"
@@ -129,5 +130,5 @@ def write_trc(path: Path, trajectories: Trajectories) -> None:
     table = pd.DataFrame(1000.0 * trajectories.xyz_m.reshape(count, -1))
     table.insert(0, "time", [f"{time:.6f}" for time in trajectories.times_s])
     table.insert(0, "frame", np.arange(1, count + 1))
-    rows = table.to_csv(sep="\t", header=False, index=False, float_format="%.5f", na_rep="", lineterminator="\n")
+    rows = table.to_csv(sep="\t", header=False, index=False, float_format="%.5f", na_rep="", lineterminator="\t\n")
     path.write_text("\n".join(header) + "\n" + rows, encoding="utf-8", newline="\n")
