@@ -13,6 +13,7 @@ from gonio.formats.osim_functions import inner_function, read_function
 from gonio.formats.osim_joints import GROUND_NAME, FrameTable, Joint, Node, Place, read_joints
 from gonio.formats.osim_xml import (
     Element,
+    children,
     describe,
     flag,
     name_of,
@@ -36,7 +37,7 @@ from gonio.records import (
 
 _GRAVITY_M_S2 = (0.0, -9.80665, 0.0)
 _RANGE = (-10.0, 10.0)  # OpenSim's own default
-_INERTIA_TAGS = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
+INERTIA_TAGS = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
 
 
 def read_osim(path: Path) -> BodyModel:
@@ -65,6 +66,7 @@ def _read(path: Path) -> BodyModel:
     model, version = open_document(path, "Model")
     body_elements = [body for body in objects(model, "BodySet") if name_of(body) != GROUND_NAME]
     body_names = [name_of(body) for body in body_elements]
+    _refuse_duplicates(body_names, "body")
     joints = read_joints(model, version)
     functions: list[Pieces] = []
     coordinates = _read_coordinates(model, joints, functions)
@@ -77,14 +79,13 @@ def _read(path: Path) -> BodyModel:
         functions=stack(functions),
         coordinates=coordinates,
         bodies=_read_bodies(body_elements, joints, nodes_of),
-        markers=_read_markers(model, body_names),
+        markers=_read_markers(objects(model, "MarkerSet"), body_names, FrameTable(model)),
         gravity_m_s2=vector(model, "gravity", _GRAVITY_M_S2),
     )
 
 
 def _sorted_joints(joints: list[Joint], body_names: list[str]) -> list[Joint]:
     """Order the joints so that each hangs on a body that is already placed; refuse what is no tree."""
-    _refuse_duplicates(body_names, "body")
     waiting, placed, ordered = list(joints), {GROUND_NAME}, []
     known = {GROUND_NAME, *body_names}
     for joint in joints:
@@ -179,7 +180,7 @@ def _inertia_kgm2(element: Element) -> np.ndarray:
     if element.find("inertia") is not None:
         xx, yy, zz, xy, xz, yz = vector(element, "inertia", (0,) * 6)
     else:
-        xx, yy, zz, xy, xz, yz = (number(element, tag, 0.0) for tag in _INERTIA_TAGS)
+        xx, yy, zz, xy, xz, yz = (number(element, tag, 0.0) for tag in INERTIA_TAGS)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -189,8 +190,7 @@ def _read_coordinates(model: Element, joints: list[Joint], functions: list[Piece
     names = [name_of(element) for element in elements]
     _refuse_duplicates(names, "coordinate")
     for element in elements:
-        holder = element.find("prescribed_function")
-        if flag(element, "prescribed", default=False) and holder is not None and len(holder):
+        if flag(element, "prescribed", default=False) and children(element.find("prescribed_function")):
             raise InputError(
                 f"{describe(element)} is prescribed over time.", hint="Set <prescribed> to false, or lock it."
             )
@@ -242,10 +242,8 @@ def _read_coupler(element: Element, names: list[str]) -> tuple[int, int, Pieces]
             f"{describe(element)} couples {dependent!r} to {' '.join(sources)!r}.",
             hint="A coupler needs one dependent and one independent coordinate, both of the model.",
         )
-    holder = element.find("coupled_coordinates_function")
-    found = [child for child in element if child.get("name") == "coupled_coordinates_function"]
-    if holder is not None and len(holder):
-        found = [holder[0]]
+    named = [child for child in children(element) if child.get("name") == "coupled_coordinates_function"]
+    found = children(element.find("coupled_coordinates_function")) or named
     function = found[0] if found else inner_function(element)
     pieces = scaled(read_function(function), number(element, "scale_factor", 1.0))
     return names.index(dependent), names.index(sources[0]), pieces
@@ -260,11 +258,20 @@ def _refuse_circular_couplers(coupled_to: np.ndarray, names: list[str]) -> None:
                 raise InputError(f"The coupler of {names[start]} leads back to itself.", hint="Break the circle.")
 
 
-def _read_markers(model: Element, body_names: list[str]) -> Markers:
-    elements = objects(model, "MarkerSet")
+def read_osim_markers(path: Path, model: BodyModel) -> Markers:
+    """Read a marker set file (``<MarkerSet>``) for a model that it fits; markers on bodies that it lacks are refused.
+
+    Raises:
+        InputError: the file can't be read, or a marker is on no body of the model.
+    """
+    markerset, _ = open_document(path, "MarkerSet")
+    frames = FrameTable(markerset, model.bodies.names)
+    return _read_markers(children(markerset.find("objects")), list(model.bodies.names), frames)
+
+
+def _read_markers(elements: list[Element], body_names: list[str], frames: FrameTable) -> Markers:
     names = [name_of(element) for element in elements]
     _refuse_duplicates(names, "marker")
-    frames = FrameTable(model)
     bodies, locations = [], []
     for element in elements:
         place = _marker_place(element, frames)
@@ -280,6 +287,7 @@ def _read_markers(model: Element, body_names: list[str]) -> Markers:
         names=tuple(names),
         body=np.array(bodies, dtype=int),
         location_body_m=np.array(locations).reshape(-1, 3),
+        fixed=np.array([flag(element, "fixed", default=False) for element in elements], dtype=bool),
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.errors import InputError
-from gonio.formats.osim_xml import Element, describe, number, numbers
+from gonio.formats.osim_xml import Element, children, describe, number, numbers
 from gonio.kernel.body import functions as make
 from gonio.kernel.body.functions import Pieces
 
@@ -52,10 +52,10 @@ def linear_coefficients(element: Element, variables: int) -> Float[np.ndarray, "
 
 def inner_function(element: Element) -> Element:
     """Find the function inside a MultiplierFunction or an older file's ``<function>``."""
-    holder = element.find("function")
-    if holder is None or len(holder) != 1:
+    found = children(element.find("function"))
+    if len(found) != 1:
         raise InputError(f"{describe(element)} holds no function.", hint="Give it one.")
-    return holder[0]
+    return found[0]
 
 
 def _knots(element: Element) -> tuple[Float[np.ndarray, " knot"], Float[np.ndarray, " knot"]]:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gonio.errors import InputError
 from gonio.formats.osim_functions import inner_function, linear_coefficients, read_function
-from gonio.formats.osim_xml import Element, describe, flag, name_of, objects, text, vector, words
+from gonio.formats.osim_xml import Element, children, describe, flag, name_of, objects, text, vector, words
 from gonio.kernel.body.functions import Pieces, polynomial
 from gonio.records import FIXED, PRISMATIC, REVOLUTE
 
@@ -74,15 +74,24 @@ def read_joints(model: Element, version: int) -> list[Joint]:
     Raises:
         InputError: a joint of a kind that gonio can't honour, or one whose frames or coordinates don't exist.
     """
-    if version >= 30500 or model.find("JointSet") is not None:
+    if _is_new(model, version):
         frames = FrameTable(model)
         return [_read_new(element, frames) for element in objects(model, "JointSet")]
-    joints: list[Joint] = []
-    for body in objects(model, "BodySet"):
-        holder = body.find("Joint")
-        if holder is not None and len(holder):
-            joints.append(_read_old(holder[0], name_of(body)))
-    return joints
+    return [_read_old(element, body) for element, body in joint_elements(model, version)]
+
+
+def joint_elements(model: Element, version: int) -> list[tuple[Element, str]]:
+    """List the joints' elements with the bodies that they move, in the file's order."""
+    if _is_new(model, version):
+        frames = FrameTable(model)
+        return [(element, frames.resolve(element, "child_frame").body) for element in objects(model, "JointSet")]
+    bodies = objects(model, "BodySet")
+    return [(element, name_of(body)) for body in bodies for element in children(body.find("Joint"))]
+
+
+def _is_new(model: Element, version: int) -> bool:
+    """Tell whether joints stand in a JointSet (OpenSim 4.x) or in the bodies that they move."""
+    return version >= 30500 or model.find("JointSet") is not None
 
 
 def _read_old(element: Element, child: str) -> Joint:
@@ -106,7 +115,7 @@ def _read_old(element: Element, child: str) -> Joint:
 
 def _read_new(element: Element, frames: "FrameTable") -> Joint:
     """Read a joint of a JointSet (OpenSim 4.x)."""
-    coordinates = list(element.findall("coordinates/*"))
+    coordinates = children(element.find("coordinates"))
     return Joint(
         element=element,
         name=name_of(element),
@@ -147,8 +156,7 @@ def _nodes(element: Element, coordinates: list[Element]) -> list[Node]:
 
 def _custom_nodes(element: Element, names: list[str]) -> list[Node]:
     """Take a CustomJoint apart: three slides along axes of the parent's frame, then three turns, one after another."""
-    transform = element.find("SpatialTransform")
-    axes = {} if transform is None else {name_of(axis): axis for axis in transform}
+    axes = {name_of(axis): axis for axis in children(element.find("SpatialTransform"))}
     unknown = set(axes) - {*_TRANSFORM_AXES, "components"}
     if unknown:
         raise InputError(
@@ -164,7 +172,7 @@ def _custom_nodes(element: Element, names: list[str]) -> list[Node]:
 
 def _axis_nodes(axis: Element, kind: int, which: int, names: list[str]) -> list[Node]:
     """Read one TransformAxis; a linear function of several coordinates is as many nodes about the same axis."""
-    drivers, function = words(axis, "coordinates"), _find_function(axis)
+    drivers, function = words(axis, "coordinates"), find_function(axis)
     where = f"{name_of(axis)} of {describe(_joint_of(axis))}"
     for driver in drivers:
         if driver not in names:
@@ -197,12 +205,12 @@ def _axis_nodes(axis: Element, kind: int, which: int, names: list[str]) -> list[
     return [Node(label, kind, direction, pieces, drivers[0] if drivers else "")]
 
 
-def _find_function(axis: Element) -> Element | None:
+def find_function(axis: Element) -> Element | None:
     """Find a TransformAxis' function: its own child in new files, inside ``<function>`` in old ones."""
     holder = axis.find("function")
     if holder is not None:
-        return inner_function(axis) if len(holder) else None
-    found = [child for child in axis if child.tag not in _NOT_FUNCTIONS]
+        return inner_function(axis) if children(holder) else None
+    found = [child for child in children(axis) if child.tag not in _NOT_FUNCTIONS]
     return found[0] if found else None
 
 
@@ -213,9 +221,9 @@ def _joint_of(axis: Element) -> Element:
 class FrameTable:
     """The named frames of a 4.x model: sockets refer to them by absolute or relative path, or by name."""
 
-    def __init__(self, model: Element) -> None:
+    def __init__(self, model: Element, more_bodies: tuple[str, ...] = ()) -> None:
         self._model = model
-        self._bodies = {GROUND_NAME, *(name_of(body) for body in objects(model, "BodySet"))}
+        self._bodies = {GROUND_NAME, *more_bodies, *(name_of(body) for body in objects(model, "BodySet"))}
         self._offsets = {_path_of(frame, model): frame for frame in model.iter("PhysicalOffsetFrame")}
 
     def resolve(self, owner: Element, socket: str) -> Place:
@@ -232,6 +240,11 @@ class FrameTable:
             T_frame = _offset(target, "translation", "orientation") @ T_frame
             owner, socket = target, "parent"
         raise InputError(f"The offset frames around {describe(owner)} hang on each other.", hint="Break the circle.")
+
+    def offset_frame(self, owner: Element, socket: str) -> Element | None:
+        """Give the offset frame that a socket names, or None where it names a body or ground."""
+        target = self._connectee(owner, socket)
+        return None if isinstance(target, str) else target
 
     def _connectee(self, owner: Element, socket: str) -> str | Element:
         given = text(owner, f"socket_{socket}") or text(owner, f"socket_{socket}_connectee_name")

@@ -22,12 +22,13 @@ OLDEST, NEWEST = 10000, 40699
 _LARGEST_BYTES = 64 << 20  # the largest published model, with all its muscles, has 5 MB
 
 
-def open_document(path: Path, expected: str) -> tuple[Element, int]:
+def open_document(path: Path, expected: str, *, keep_comments: bool = False) -> tuple[Element, int]:
     """Open an OpenSim document.
 
     Args:
         path: The file.
         expected: The element that it must hold, such as ``Model``.
+        keep_comments: Keep OpenSim's explanations, for a document that is written again.
 
     Returns:
         The expected element and the document's version (10905, 20303, 40000, …).
@@ -37,7 +38,12 @@ def open_document(path: Path, expected: str) -> tuple[Element, int]:
             the expected element.
     """
     parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        huge_tree=False,
+        remove_comments=not keep_comments,
+        remove_pis=True,
     )
     try:
         if path.stat().st_size > _LARGEST_BYTES:
@@ -141,7 +147,11 @@ def flag(element: Element, tag: str, *, default: bool) -> bool:
     return default if given == "" else given in ("true", "1")
 
 
+def children(element: Element | None) -> list[Element]:
+    """List an element's child elements, without comments; an absent element has none."""
+    return [] if element is None else list(element.iterchildren("*"))
+
+
 def objects(owner: Element, tag: str) -> list[Element]:
     """List the elements of a set, ``<tag><objects>…``; an absent set is empty."""
-    found = owner.find(f"{tag}/objects")
-    return [] if found is None else list(found)
+    return children(owner.find(f"{tag}/objects"))

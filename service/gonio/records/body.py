@@ -109,11 +109,15 @@ class Bodies:
 
 @record
 class Markers:
-    """Named points that are fixed in bodies (``body`` −1: in the lab): what is seen of the model."""
+    """Named points on bodies (``body`` −1: in the lab): what is seen of the model.
+
+    A ``fixed`` one keeps its place in the body when markers are moved to where a static trial saw them.
+    """
 
     names: tuple[str, ...]
     body: Int[np.ndarray, " marker"]
     location_body_m: Float[np.ndarray, "marker 3"]
+    fixed: Bool[np.ndarray, " marker"]
 
     def index(self, name: str) -> int:
         """Give the position of a marker by name."""

@@ -26,6 +26,7 @@ def attach(model: BodyModel, markerset: MarkerSet) -> BodyModel:
         names=markerset.keypoint_names,
         body=np.array(bodies, dtype=int),
         location_body_m=np.array(locations).reshape(-1, 3),
+        fixed=np.ones(len(bodies), dtype=bool),
     )
     return replace(model, markers=markers)
 

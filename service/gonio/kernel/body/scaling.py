@@ -16,6 +16,7 @@ from gonio.kernel.body.forward import marker_positions
 from gonio.records import GROUND, PRISMATIC, Bodies, BodyModel, Functions, JointTree, Markers, Measurement
 
 Method = Literal["ratio", "least_squares"]
+Average = Literal["median", "mean"]
 
 
 def measure_scale_factors(
@@ -24,6 +25,7 @@ def measure_scale_factors(
     xyz_lab_m: Float[np.ndarray, "frame marker 3"],
     *,
     method: Method = "ratio",
+    average: Average = "median",
     symmetric: bool = True,
 ) -> Float[np.ndarray, "body 3"]:
     """Find each body's scale factors from a trial, standing or moving.
@@ -31,10 +33,11 @@ def measure_scale_factors(
     Args:
         model: The generic model; the markers of the measurements are among its markers.
         measurements: What to measure; a later one overrides an earlier one on the same body and axis.
-        xyz_lab_m: Where the model's markers were seen, NaN where not. A pair's distance is its median over the frames
-            in which both were seen, so that single wild frames don't matter.
+        xyz_lab_m: Where the model's markers were seen, NaN where not.
         method: ``ratio``: the mean over the pairs of seen / model distance, OpenSim's way. ``least_squares``: the
             factor s that minimises Σ weight · (seen − s · model)², which trusts long distances more than short ones.
+        average: How a pair's distance is taken over the frames in which both were seen: the median, which single wild
+            frames don't move, or OpenSim's mean.
         symmetric: Pool measurements of the same name, such as those of the left and the right thigh.
 
     Returns:
@@ -51,7 +54,7 @@ def measure_scale_factors(
     factors = np.ones((len(model.bodies.names), 3))
     for group in groups.values():
         pairs = [pair for measurement in group for pair in measurement.pairs]
-        seen, own = _distances(model, pairs, xyz_lab_m, positions)
+        seen, own = _distances(model, pairs, xyz_lab_m, positions, average)
         if method == "ratio":
             factor = float(np.mean(seen / own))
         else:
@@ -68,8 +71,10 @@ def _distances(
     pairs: list[tuple[str, str]],
     xyz_lab_m: Float[np.ndarray, "frame marker 3"],
     positions: Float[np.ndarray, "marker 3"],
+    average: Average,
 ) -> tuple[Float[np.ndarray, " pair"], Float[np.ndarray, " pair"]]:
-    """Give the pairs' distances as seen (median over the frames) and in the model, metres."""
+    """Give the pairs' distances as seen, averaged over the frames, and in the model, metres."""
+    over_frames = np.nanmedian if average == "median" else np.nanmean
     seen, own = np.empty(len(pairs)), np.empty(len(pairs))
     for row, (name, other) in enumerate(pairs):
         a, b = model.markers.index(name), model.markers.index(other)
@@ -80,7 +85,7 @@ def _distances(
                 hint="Film the person standing in view of all cameras for a second, or leave this measurement out.",
                 code="scaling-pair-missing",
             )
-        seen[row], own[row] = np.nanmedian(apart), np.linalg.norm(positions[a] - positions[b])
+        seen[row], own[row] = over_frames(apart), np.linalg.norm(positions[a] - positions[b])
         if own[row] < 1e-6:
             raise InputError(f"{name} and {other} are one point in the model.", hint="Measure between two points.")
     return seen, own
@@ -91,18 +96,20 @@ def scale_model(
     factors: Float[np.ndarray, "body 3"],
     *,
     mass_kg: float | None = None,
+    keep_shares: bool = True,
 ) -> BodyModel:
     """Scale a model's geometry, and its masses to the person's.
 
     Lengths scale body by body: joints, centres of mass and markers with the body they are fixed in, and a joint's
-    coupled slides (the knee's) with its parent body, as in OpenSim. The shares of the bodies in the mass stay. Inertias
-    become those of the stretched mass distribution: m L² for equal factors, and for unequal ones exact too, since the
-    second moments ∫ρ x xᵀ transform as S (∫ρ x xᵀ) S.
+    coupled slides (the knee's) with its parent body, as in OpenSim. Inertias become those of the stretched mass
+    distribution: m L² for equal factors, as in OpenSim, and for unequal ones exact too, since the second moments
+    ∫ρ x xᵀ transform as S (∫ρ x xᵀ) S (OpenSim takes the body for a cylinder then).
 
     Args:
         model: The generic model.
         factors: Scale factors along each body's own axes, positive.
         mass_kg: The person's mass; None keeps the model's.
+        keep_shares: Keep the bodies' shares in the mass; else they change with the volumes.
 
     Returns:
         The scaled model.
@@ -114,12 +121,13 @@ def scale_model(
         raise InputError("A scale factor is not positive.", hint="Check the measured distances.")
     if mass_kg is not None and not 0 < mass_kg < np.inf:
         raise InputError(f"A body mass of {mass_kg} kg is impossible.", hint="Give the person's mass in kilograms.")
-    ratio = 1.0 if mass_kg is None else mass_kg / model.mass_kg
+    masses = model.bodies.mass_kg if keep_shares else model.bodies.mass_kg * factors.prod(axis=1)
+    masses = masses * ((model.mass_kg if mass_kg is None else mass_kg) / masses.sum())
     return replace(
         model,
         joints=_scale_joints(model, factors),
         functions=_scale_slides(model, factors),
-        bodies=_scale_bodies(model.bodies, factors, ratio),
+        bodies=_scale_bodies(model.bodies, factors, masses),
         markers=_scale_markers(model.markers, factors),
     )
 
@@ -149,20 +157,25 @@ def _scale_slides(model: BodyModel, factors: Float[np.ndarray, "body 3"]) -> Fun
     return replace(functions, coefficients=coefficients)
 
 
-def _scale_bodies(bodies: Bodies, factors: Float[np.ndarray, "body 3"], mass_ratio: float) -> Bodies:
+def _scale_bodies(
+    bodies: Bodies, factors: Float[np.ndarray, "body 3"], masses_kg: Float[np.ndarray, " body"]
+) -> Bodies:
+    has_mass = bodies.mass_kg > 0
+    mass_ratio = np.divide(masses_kg, bodies.mass_kg, out=np.zeros(len(masses_kg)), where=has_mass)
     R_node_body = bodies.T_node_body[:, :3, :3]
     T_node_body = bodies.T_node_body.copy()
     in_body = np.einsum("bji,bj->bi", R_node_body, T_node_body[:, :3, 3])
     T_node_body[:, :3, 3] = np.einsum("bij,bj->bi", R_node_body, factors * in_body)
     half_trace = np.trace(bodies.inertia_body_kgm2, axis1=1, axis2=2)[:, None, None] / 2
-    second_moment = (half_trace * np.eye(3) - bodies.inertia_body_kgm2) * factors[:, :, None] * factors[:, None, :]
+    stretch = factors[:, :, None] * factors[:, None, :]
+    second_moment = (half_trace * np.eye(3) - bodies.inertia_body_kgm2) * stretch
     inertia = np.trace(second_moment, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second_moment
     return replace(
         bodies,
         T_node_body=T_node_body,
-        mass_kg=bodies.mass_kg * mass_ratio,
+        mass_kg=masses_kg,
         com_body_m=bodies.com_body_m * factors,
-        inertia_body_kgm2=inertia * mass_ratio,
+        inertia_body_kgm2=inertia * mass_ratio[:, None, None],
     )
 
 
