@@ -58,7 +58,9 @@ def test_gradient_and_newton_matrix_are_the_finite_differences_of_the_cost(model
     observed[0] = np.nan
     weights = random.uniform(0, 3, size=len(observed))
     free = np.ones(len(q))
-    tasks = Tasks(marker_weights=weights, coordinate_weights=0.1 * free, coordinate_targets=0.2 * free)
+    tasks = Tasks(
+        marker_weights=weights, coordinate_weights=0.1 * free, coordinate_targets=0.2 * free, target_sd=0 * free
+    )
     problem = pose_problem(model, tasks, 1e-6, 100)
     work = make_workspace(problem.tree)
 
@@ -86,7 +88,7 @@ def test_gauss_newton_matrix_is_the_sum_over_marker_jacobians(model, seed):
     q = random_pose(model, seed)
     weights = np.random.default_rng(seed).uniform(0, 3, size=len(model.markers.names))
     nothing = np.zeros(len(q))
-    tasks = Tasks(marker_weights=weights, coordinate_weights=nothing, coordinate_targets=nothing)
+    tasks = Tasks(marker_weights=weights, coordinate_weights=nothing, coordinate_targets=nothing, target_sd=nothing)
     problem = pose_problem(model, tasks, 1e-6, 100)
     work = make_workspace(problem.tree)
     linearise(problem, np.zeros((len(weights), 3)), weights, q.copy(), False, work)

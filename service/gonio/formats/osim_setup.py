@@ -68,7 +68,12 @@ class TaskSet:
             pull[index] = task.weight
             if task.value is not None:
                 targets[index] = task.value
-        return Tasks(marker_weights=weights, coordinate_weights=pull, coordinate_targets=targets)
+        return Tasks(
+            marker_weights=weights,
+            coordinate_weights=pull,
+            coordinate_targets=targets,
+            target_sd=np.zeros(len(pull)),  # OpenSim's tasks are wishes of the user, not measurements
+        )
 
 
 @dataclass(frozen=True)

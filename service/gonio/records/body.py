@@ -152,16 +152,20 @@ class Tasks:
 
     The first sum runs over the markers that are observed in the frame, metres; the second over the coordinates, rad
     and m. That is OpenSim's cost function, with its normalisation. A weight of 0 leaves a marker or coordinate out.
+    ``target_sd`` is how far from its target a coordinate may really be: error bars count it; 0 takes it as exact.
     """
 
     marker_weights: Float[np.ndarray, " marker"]
     coordinate_weights: Float[np.ndarray, " coordinate"]
     coordinate_targets: Float[np.ndarray, " coordinate"]
+    target_sd: Float[np.ndarray, " coordinate"]
 
     def __post_init__(self) -> None:
-        for weights in (self.marker_weights, self.coordinate_weights):
+        for weights in (self.marker_weights, self.coordinate_weights, self.target_sd):
             if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
-                raise InputError("A weight is negative or not finite.", hint="Give weights of 0 or more.")
+                raise InputError(
+                    "A weight or a standard deviation is negative or not finite.", hint="Give numbers of 0 or more."
+                )
 
 
 @record

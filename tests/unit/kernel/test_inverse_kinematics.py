@@ -36,6 +36,7 @@ def tasks(model):
         marker_weights=np.ones(len(model.markers.names)),
         coordinate_weights=np.zeros(len(model.coordinates.names)),
         coordinate_targets=np.zeros(len(model.coordinates.names)),
+        target_sd=np.zeros(len(model.coordinates.names)),
     )
 
 

@@ -41,9 +41,14 @@ def make_tasks(model: BodyModel, markerset: MarkerSet) -> Tasks:
         InputError: a prior names a coordinate that the model lacks.
     """
     weights = np.zeros(len(model.coordinates.names))
-    targets = model.coordinates.default.copy()
+    targets, target_sd = model.coordinates.default.copy(), np.zeros(len(weights))
     for prior in markerset.priors:
         index = model.coordinates.index(prior.coordinate)
         weights[index] = (markerset.marker_sd_m / prior.sd) ** 2 / markerset.weights.sum()
-        targets[index] = prior.value
-    return Tasks(marker_weights=markerset.weights, coordinate_weights=weights, coordinate_targets=targets)
+        targets[index], target_sd[index] = prior.value, prior.sd
+    return Tasks(
+        marker_weights=markerset.weights,
+        coordinate_weights=weights,
+        coordinate_targets=targets,
+        target_sd=target_sd,
+    )

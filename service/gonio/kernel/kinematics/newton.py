@@ -75,6 +75,7 @@ class Workspace(NamedTuple):
     trial: Array  # (coordinate,)
     hessian: Array  # (coordinate, coordinate)
     factor: Array  # (coordinate, coordinate)
+    column: Array  # (coordinate,)
     free: Array  # (coordinate,): those that may move now come first
 
 
@@ -89,6 +90,7 @@ def make_workspace(tree: Tree) -> Workspace:
         trial=np.zeros(coordinates),
         hessian=np.zeros((coordinates, coordinates)),
         factor=np.zeros((coordinates, coordinates)),
+        column=np.zeros(coordinates),
         free=np.zeros(coordinates, dtype=np.int64),
     )
 
@@ -366,9 +368,22 @@ def _choose_free(problem: Problem, root_only: bool, q: Array, work: Workspace) -
 @njit(cache=True, error_model="numpy")
 def _newton_step(count: int, damping: float, work: Workspace) -> bool:
     """Solve (H + damping · scale) step = −gradient for the free coordinates; False if that is not positive definite."""
-    L, free, unknowns = work.factor, work.free, work.unknowns
+    if not factorise(count, damping, work):
+        return False
     for i in range(count):
-        scale = unknowns[free[i]].scale
+        work.column[i] = -work.unknowns[work.free[i]].gradient
+    substitute(count, work)
+    for i in range(count):
+        work.unknowns[work.free[i]].step = work.column[i]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def factorise(count: int, damping: float, work: Workspace) -> bool:
+    """Factorise H + damping · scale of the free coordinates by Cholesky; False if that is not positive definite."""
+    L, free = work.factor, work.free
+    for i in range(count):
+        scale = work.unknowns[free[i]].scale
         for j in range(i + 1):
             entry = work.hessian[free[i], free[j]]
             if i == j:
@@ -381,13 +396,18 @@ def _newton_step(count: int, damping: float, work: Workspace) -> bool:
                 L[i, i] = np.sqrt(entry)
             else:
                 return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def substitute(count: int, work: Workspace) -> None:
+    """Replace ``work.column`` by the solution of the factorised system with it on the right."""
+    L, column = work.factor, work.column
     for i in range(count):
-        entry = -unknowns[free[i]].gradient
         for k in range(i):
-            entry -= L[i, k] * unknowns[free[k]].step
-        unknowns[free[i]].step = entry / L[i, i]
+            column[i] -= L[i, k] * column[k]
+        column[i] /= L[i, i]
     for i in range(count - 1, -1, -1):
         for k in range(i + 1, count):
-            unknowns[free[i]].step -= L[k, i] * unknowns[free[k]].step
-        unknowns[free[i]].step /= L[i, i]
-    return True
+            column[i] -= L[k, i] * column[k]
+        column[i] /= L[i, i]

@@ -1,0 +1,156 @@
+"""How far an inverse kinematics can be trusted: the covariance of the coordinates.
+
+The solution makes the cost's gradient vanish, so errors of the observed points and of the targets move it, by the
+implicit function theorem, by δq = H⁻¹ (Σ wᵢ Jᵢᵀ δpᵢ / Σ w + Σ W_c δtarget_c), with the exact Hessian H at the solution.
+With independent errors of covariance Cᵢ (points) and σ_c² (targets)
+
+    cov q = H⁻¹ (Σ wᵢ² Jᵢᵀ Cᵢ Jᵢ / (Σ w)² + Σ W_c² σ_c² e_c e_cᵀ) H⁻¹
+
+Weights need not be the inverse of the variances for that, and the marker residuals of a wrong body don't enter.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+from gonio.errors import InputError
+from gonio.kernel.body.forward import differentiate_marker
+from gonio.kernel.body.tree import Array
+from gonio.kernel.kinematics.inverse import pose_problem
+from gonio.kernel.kinematics.newton import (
+    Problem,
+    Workspace,
+    factorise,
+    is_seen,
+    linearise,
+    make_workspace,
+    substitute,
+)
+from gonio.kernel.parallel import over_blocks
+from gonio.records import TOO_FEW_MARKERS, BodyModel, Motion, Tasks
+
+_BLOCK = 64
+
+
+def add_covariance(
+    motion: Motion,
+    model: BodyModel,
+    tasks: Tasks,
+    xyz_lab_m: Float[np.ndarray, "frame marker 3"],
+    covariance_m2: Float[np.ndarray, "frame marker 3 3"],
+) -> Motion:
+    """Give the motion with the covariance of its coordinates in each frame.
+
+    Args:
+        motion: What :func:`gonio.kernel.kinematics.inverse.solve_motion` found.
+        model: The model it was found with.
+        tasks: The tasks it was found with; their ``target_sd`` counts.
+        xyz_lab_m: The points it was found from.
+        covariance_m2: Their covariances; what is NaN for a point that was seen makes its frame's covariance NaN.
+
+    Returns:
+        The motion with its covariance, rad² and m²: NaN where the motion is, 0 for locked coordinates. A coordinate at
+        the end of its range has the covariance that it would have without the bound.
+
+    Raises:
+        InputError: arrays that don't fit each other.
+    """
+    if covariance_m2.shape[:2] != xyz_lab_m.shape[:2] or len(motion.times_s) != len(xyz_lab_m):
+        raise InputError(
+            f"{len(motion.times_s)} frames were solved, {xyz_lab_m.shape[:2]} points are given, "
+            f"{covariance_m2.shape[:2]} covariances.",
+            hint="Give one covariance for each point of each solved frame.",
+        )
+    problem = pose_problem(model, tasks, 1e-6, 1)
+    q = np.where(np.isnan(motion.values), model.coordinates.default, motion.values)
+    points, noise = (np.array(array, dtype=float, order="C") for array in (xyz_lab_m, covariance_m2))
+    weights, target_variance = tasks.marker_weights.copy(), tasks.target_sd**2
+    covariance = np.full((len(q), q.shape[1], q.shape[1]), np.nan)
+
+    def propagate(start: int, stop: int) -> None:
+        work = make_workspace(problem.tree)
+        for frame in range(start, stop):
+            if motion.status[frame] != TOO_FEW_MARKERS:
+                _propagate(
+                    problem, points[frame], noise[frame], weights, target_variance, q[frame], covariance[frame], work
+                )
+
+    over_blocks(propagate, len(q), _BLOCK)
+    unknown = np.isnan(motion.values)
+    covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+    return replace(motion, covariance=covariance)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _propagate(
+    problem: Problem,
+    observed: Array,
+    noise: Array,
+    weights: Array,
+    target_variance: Array,
+    q: Array,
+    covariance: Array,
+    work: Workspace,
+) -> None:
+    """Fill the covariance (coordinate, coordinate) of one frame."""
+    linearise(problem, observed, weights, q, True, work)
+    count = 0
+    for c in range(len(q)):
+        if problem.coordinates[c].movable and work.unknowns[c].scale > 0.0:
+            work.free[count] = c
+            count += 1
+    if not factorise(count, 0.0, work):
+        linearise(problem, observed, weights, q, False, work)
+        if not factorise(count, 0.0, work):
+            return  # a direction that nothing holds: NaN
+    middle = _perturb(problem, observed, noise, weights, target_variance, work)
+    for _ in range(2):  # H⁻¹ middle, then H⁻¹ of its transpose: middle is symmetric
+        for column in range(count):
+            for row in range(count):
+                work.column[row] = middle[work.free[row], work.free[column]]
+            substitute(count, work)
+            for row in range(count):
+                middle[work.free[row], work.free[column]] = work.column[row]
+        middle = middle.T.copy()
+    is_free = np.zeros(len(q), dtype=np.bool_)
+    for k in range(count):
+        is_free[work.free[k]] = True
+    couplings, pose = problem.tree.couplings, work.coordinates
+    for a in range(len(q)):
+        for b in range(len(q)):
+            first, second = couplings[a].driver, couplings[b].driver
+            known = is_free[first] and is_free[second]
+            covariance[a, b] = pose[a].first * pose[b].first * middle[first, second] if known else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _perturb(
+    problem: Problem, observed: Array, noise: Array, weights: Array, target_variance: Array, work: Workspace
+) -> Array:
+    """Give the covariance of the gradient: Σ w² Jᵀ C J / (Σ w)² over the points, W² σ² over the targets."""
+    tree, count = problem.tree, len(target_variance)
+    middle, jacobian, turned = np.zeros((count, count)), np.empty((3, count)), np.empty((3, count))
+    total = 0.0
+    for marker in range(len(observed)):
+        if is_seen(observed[marker]):
+            total += weights[marker]
+    for marker in range(len(observed)):
+        if weights[marker] > 0.0 and is_seen(observed[marker]):
+            jacobian.fill(0.0)
+            differentiate_marker(tree, work.nodes, tree.markers[marker], jacobian)
+            w = weights[marker] / total
+            for c in range(count):
+                for i in range(3):
+                    turned[i, c] = 0.0
+                    for j in range(3):
+                        turned[i, c] += w * w * noise[marker, i, j] * jacobian[j, c]
+            for a in range(count):
+                for b in range(count):
+                    for i in range(3):
+                        middle[a, b] += jacobian[i, a] * turned[i, b]
+    for c in range(count):
+        driver, slope = tree.couplings[c].driver, work.coordinates[c].first
+        middle[driver, driver] += (problem.coordinates[c].weight * slope) ** 2 * target_variance[c]
+    return middle
