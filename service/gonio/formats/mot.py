@@ -4,7 +4,6 @@ A header of ``key=value`` lines up to ``endheader``, one line of labels, one row
 header says ``inDegrees=yes``. Which columns are angles, the file does not say; the model does.
 """
 
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +50,12 @@ def read_mot(path: Path) -> Table:
         raise InputError(f"{path.name} has no column 'time' first.", hint="Give an OpenSim .mot or .sto file.")
     header = dict(_split(line) for line in lines[:end])
     values = _read_rows(path, below[1:], len(labels))
+    promised = header.get("nrows", header.get("datarows", ""))
+    if promised.isdecimal() and len(values) < int(promised):
+        raise InputError(
+            f"{path.name} holds {len(values)} of the {promised} rows that its header promises.",
+            hint="Was the file cut short? Export it again.",
+        )
     if len(values) == 0 or not np.all(np.diff(values[:, 0]) > 0):
         raise InputError(
             f"{path.name} holds {len(values)} rows, and their times don't ascend.", hint="Export the file again."
@@ -74,19 +79,18 @@ def _read_rows(path: Path, rows: list[str], columns: int) -> Float[np.ndarray, "
     if not rows:
         return np.empty((0, columns))
     try:
-        table = pd.read_csv(StringIO("\n".join(rows)), sep=r"\s+", header=None, names=range(columns + 1), dtype=float)
-    except (ValueError, pd.errors.ParserError) as error:
+        values = np.loadtxt(rows, dtype=float, comments=None, ndmin=2)
+    except (ValueError, OverflowError) as error:
         raise InputError(
             f"{path.name} holds a row that does not fit its {columns} labels: {error}.",
             hint="Was the file cut short or edited? Export it again.",
         ) from error
-    values = table.to_numpy()
-    if np.any(np.isfinite(values[:, columns])) or not np.all(np.isfinite(values[:, 0])):
+    if values.shape[1] != columns or not np.all(np.isfinite(values[:, 0])):
         raise InputError(
-            f"{path.name} holds a row that does not fit its {columns} labels.",
+            f"{path.name} has {columns} labels for {values.shape[1]} columns, or a row without a time.",
             hint="Was the file cut short or edited? Export it again.",
         )
-    return values[:, :columns]
+    return values
 
 
 def write_mot(path: Path, table: Table) -> None:

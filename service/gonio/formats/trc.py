@@ -5,6 +5,7 @@ marker is blank. Axes are whatever the file's author chose: OpenSim's files are 
 here.
 """
 
+import csv
 from io import StringIO
 from pathlib import Path
 
@@ -52,6 +53,12 @@ def read_trc(path: Path) -> Trajectories:
             hint="Line 4 of a .trc file is Frame#, Time and one name for each marker.",
         )
     table = _read_table(path, lines[_HEADER_LINES:], 2 + 3 * len(names))
+    promised = fields.get("NumFrames", "")
+    if promised.isdecimal() and len(table) < int(promised):
+        raise InputError(
+            f"{path.name} holds {len(table)} of the {promised} frames that its header promises.",
+            hint="Was the file cut short? Export the trial again.",
+        )
     times_s = table[:, 1]
     if len(table) == 0 or not np.all(np.diff(times_s) > 0):
         raise InputError(
@@ -79,22 +86,25 @@ def _read_lines(path: Path) -> list[str]:
 
 def _read_table(path: Path, lines: list[str], columns: int) -> Float[np.ndarray, "frame column"]:
     """Parse the rows; short rows are filled with NaN, since trailing blanks are often lost."""
-    rows = "\n".join(line for line in lines if line.strip())
+    rows = [line.rstrip() for line in lines if line.strip()]
+    long = next((number for number, row in enumerate(rows, start=1) if row.count("\t") >= columns), None)
+    if long is not None:
+        raise InputError(
+            f"Row {long} of {path.name} has more than the {columns} columns of its header.",
+            hint="Export the trial again.",
+        )
     if not rows:
         return np.empty((0, columns))
     try:
         table = pd.read_csv(
-            StringIO(rows), sep="\t", header=None, names=range(columns + 1), index_col=False, dtype=float
+            StringIO("\n".join(rows)), sep="\t", header=None, names=range(columns), quoting=csv.QUOTE_NONE, dtype=float
         )
-    except (ValueError, pd.errors.ParserError) as error:
+    except (ValueError, OverflowError, pd.errors.ParserError) as error:
         raise InputError(
             f"{path.name} holds a row that does not fit its header of {columns} columns: {error}.",
             hint="Was the file cut short or edited? Columns are separated by tabs.",
         ) from error
     values = table.to_numpy()
-    if np.any(np.isfinite(values[:, columns])):
-        raise InputError(f"{path.name} has more columns than its header names.", hint="Export the trial again.")
-    values = values[:, :columns]
     if not np.all(np.isfinite(values[:, 1])):
         raise InputError(f"{path.name} has a row without a time.", hint="Was the file cut short? Export it again.")
     return values

@@ -68,6 +68,17 @@ def test_broken_trc_files_are_refused_by_name(tmp_path, old, new, message):
     assert raised.value.hint
 
 
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+def test_files_cut_short_are_refused(tmp_path, share):
+    write_trc(tmp_path / "a.trc", trajectories())
+    write_mot(tmp_path / "a.mot", table())
+    for name, read in (("a.trc", read_trc), ("a.mot", read_mot)):
+        content = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(content[: int(share * len(content))])
+        with pytest.raises(InputError, match=name):
+            read(tmp_path / name)
+
+
 def test_missing_files_are_named(tmp_path):
     for read in (read_trc, read_mot):
         with pytest.raises(InputError, match=r"nothing.trc can't be read"):
