@@ -36,9 +36,7 @@ def read_qualisys_calibration(path: Path) -> Rig:
         ) from error
     elements = root.findall("cameras/camera")
     if root.tag != "calibration" or not elements:
-        raise InputError(
-            f"{path.name} holds no cameras.", hint=_BAD_FILE_HINT, code="calibration-unreadable"
-        )
+        raise InputError(f"{path.name} holds no cameras.", hint=_BAD_FILE_HINT, code="calibration-unreadable")
     cameras = [_camera(element, path.name) for element in elements]
     return Rig(cameras=tuple(sorted(cameras, key=lambda camera: camera.name)), source=path.name)
 
@@ -77,7 +75,9 @@ def _camera(element: etree._Element, file: str) -> Camera:
     intrinsic_px[:2, 2] -= (left, top)
     axes_in_qualisys = np.array([[number("transform", f"r{row}{column}") for column in "123"] for row in "123"])
     T_qualisys_cam = np.eye(4)
-    T_qualisys_cam[:3, :3] = (np.diag([1.0, -1.0, -1.0]) @ axes_in_qualisys).T  # right, up, back -> right, down, forward
+    T_qualisys_cam[:3, :3] = (
+        np.diag([1.0, -1.0, -1.0]) @ axes_in_qualisys
+    ).T  # right, up, back -> right, down, forward
     T_qualisys_cam[:3, 3] = [number("transform", axis) / 1000.0 for axis in "xyz"]
     return Camera(
         name=name,

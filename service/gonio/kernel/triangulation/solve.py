@@ -5,7 +5,10 @@ runs it over all frames and keypoints. Image points are undistorted pixels; ``pr
 """
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit, prange
+
+Array = npt.NDArray[np.float64]
 
 SOLVED, TOO_FEW_CAMERAS, NOT_CONVERGED, BEHIND_CAMERA = 0, 1, 2, 3
 """How a point's solution ended."""
@@ -15,7 +18,7 @@ MAX_ITERATIONS = 50
 
 
 @njit(cache=True)
-def linear_point(projections, uv_px, weight):  # noqa: ANN001, ANN201 - numba infers the types
+def linear_point(projections: Array, uv_px: Array, weight: Array) -> tuple[Array, bool]:
     """Solve one point by weighted linear least squares (DLT) [Hartley & Sturm 1997, inhomogeneous form].
 
     Each observation gives the rows ``(u p3 - p1) X = 0`` and ``(v p3 - p2) X = 0``. The rows are scaled to unit length of
@@ -38,7 +41,7 @@ def linear_point(projections, uv_px, weight):  # noqa: ANN001, ANN201 - numba in
 
 
 @njit(cache=True)
-def solve_3x3(matrix, right):  # noqa: ANN001, ANN201
+def solve_3x3(matrix: Array, right: Array) -> tuple[Array, bool]:
     """Solve a symmetric positive definite 3 × 3 system by Cholesky; the second value is False where it is not definite."""
     x = np.zeros(3)
     l00 = matrix[0, 0]
@@ -66,7 +69,7 @@ def solve_3x3(matrix, right):  # noqa: ANN001, ANN201
 
 
 @njit(cache=True)
-def reprojection(projections, uv_px, weight, x, residual_px, depth_m):  # noqa: ANN001, ANN201
+def reprojection(projections: Array, uv_px: Array, weight: Array, x: Array, residual_px: Array, depth_m: Array) -> bool:
     """Fill ``residual_px`` (observed minus projected) and ``depth_m`` of each camera; False if one is behind its camera."""
     for c in range(projections.shape[0]):
         p = projections[c]
@@ -84,7 +87,7 @@ def reprojection(projections, uv_px, weight, x, residual_px, depth_m):  # noqa: 
 
 
 @njit(cache=True)
-def cost_of(residual_px, depth_m, weight, focal_px, scale_m):  # noqa: ANN001, ANN201
+def cost_of(residual_px: Array, depth_m: Array, weight: Array, focal_px: Array, scale_m: float) -> float:
     """Sum the cost of the residuals: ``w s² log(1 + (r/s)²)`` (Cauchy), or ``w r²`` where ``scale_m`` is infinite.
 
     ``s`` is ``scale_m`` seen at the point's depth, in pixels: what counts as an outlier is a distance in the lab, the same
@@ -104,7 +107,18 @@ def cost_of(residual_px, depth_m, weight, focal_px, scale_m):  # noqa: ANN001, A
 
 
 @njit(cache=True)
-def normal_equations(projections, residual_px, depth_m, weight, focal_px, scale_m, x, hessian, curvature, gradient):  # noqa: ANN001, ANN201
+def normal_equations(  # noqa: PLR0913 - what it fills is passed in: a compiled inner loop allocates nothing
+    projections: Array,
+    residual_px: Array,
+    depth_m: Array,
+    weight: Array,
+    focal_px: Array,
+    scale_m: float,
+    x: Array,
+    hessian: Array,
+    curvature: Array,
+    gradient: Array,
+) -> None:
     """Fill the derivatives of :func:`cost_of` (halved) at ``x``.
 
     ``hessian`` is the Gauss-Newton one with the loss's weights: the information that the observations carry.
@@ -142,7 +156,16 @@ def normal_equations(projections, residual_px, depth_m, weight, focal_px, scale_
 
 
 @njit(cache=True)
-def refine_point(projections, focal_px, uv_px, weight, start, scale_m, residual_px, hessian):  # noqa: ANN001, ANN201
+def refine_point(
+    projections: Array,
+    focal_px: Array,
+    uv_px: Array,
+    weight: Array,
+    start: Array,
+    scale_m: float,
+    residual_px: Array,
+    hessian: Array,
+) -> tuple[Array, int]:
     """Refine one point by Levenberg-Marquardt on the (robust) weighted reprojection error.
 
     Fills ``residual_px`` and the ``hessian`` at the solution. Returns the point and its status.
@@ -174,6 +197,7 @@ def refine_point(projections, focal_px, uv_px, weight, start, scale_m, residual_
             return x, TOO_FEW_CAMERAS
         trial = x + step
         length = np.sqrt((step**2).sum())
+        trial_cost = np.inf
         better = reprojection(projections, uv_px, weight, trial, trial_residual, trial_depth)
         if better:
             trial_cost = cost_of(trial_residual, trial_depth, weight, focal_px, scale_m)
@@ -183,7 +207,9 @@ def refine_point(projections, focal_px, uv_px, weight, start, scale_m, residual_
             residual_px[:] = trial_residual
             depth_m[:] = trial_depth
             damping = max(damping / 10.0, 1e-12)
-            normal_equations(projections, residual_px, depth_m, weight, focal_px, scale_m, x, hessian, curvature, gradient)
+            normal_equations(
+                projections, residual_px, depth_m, weight, focal_px, scale_m, x, hessian, curvature, gradient
+            )
         else:
             damping *= 10.0
         if length < STEP_TOLERANCE_M:
@@ -193,7 +219,7 @@ def refine_point(projections, focal_px, uv_px, weight, start, scale_m, residual_
 
 
 @njit(cache=True)
-def best_pair(projections, focal_px, uv_px, weight, scale_m):  # noqa: ANN001, ANN201
+def best_pair(projections: Array, focal_px: Array, uv_px: Array, weight: Array, scale_m: float) -> tuple[Array, bool]:
     """Give the point of the camera pair that explains all cameras best, by the robust cost.
 
     Two good cameras suffice, however wrong the others are: this start is what makes the robust refinement robust. The
@@ -223,7 +249,9 @@ def best_pair(projections, focal_px, uv_px, weight, scale_m):  # noqa: ANN001, A
 
 
 @njit(cache=True, parallel=True)
-def solve_all(projections, focal_px, uv_px, weight, from_pairs, refine, scale_m):  # noqa: ANN001, ANN201
+def solve_all(
+    projections: Array, focal_px: Array, uv_px: Array, weight: Array, from_pairs: bool, refine: bool, scale_m: float
+) -> tuple[Array, Array, Array, npt.NDArray[np.uint8]]:
     """Solve a batch: ``uv_px`` (point, camera, 2), ``weight`` (point, camera); gives points, Hessians, residuals, statuses."""
     points, cameras = weight.shape
     xyz = np.full((points, 3), np.nan)
