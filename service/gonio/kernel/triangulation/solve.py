@@ -87,22 +87,30 @@ def reprojection(projections: Array, uv_px: Array, weight: Array, x: Array, resi
 
 
 @njit(cache=True)
-def cost_of(residual_px: Array, depth_m: Array, weight: Array, focal_px: Array, scale_m: float) -> float:
-    """Sum the cost of the residuals: ``w s² log(1 + (r/s)²)`` (Cauchy), or ``w r²`` where ``scale_m`` is infinite.
+def scale_in_image(depth_m: Array, focal_px: Array, scale_m: float) -> Array:
+    """Give the robust scale in each camera's pixels: ``scale_m`` as seen at the point's depth.
 
-    ``s`` is ``scale_m`` seen at the point's depth, in pixels: what counts as an outlier is a distance in the lab, the same
-    for a near and a far camera and for any image size.
+    So what counts as an outlier is a distance in the lab, the same for a near and a far camera and for any image size.
     """
+    scale_px = np.full(depth_m.shape[0], np.inf)
+    for c in range(depth_m.shape[0]):
+        if not np.isinf(scale_m) and depth_m[c] > 0.0:
+            scale_px[c] = focal_px[c] * scale_m / depth_m[c]
+    return scale_px
+
+
+@njit(cache=True)
+def cost_of(residual_px: Array, weight: Array, scale_px: Array) -> float:
+    """Sum the cost of the residuals: ``w s² log(1 + (r/s)²)`` (Cauchy), or ``w r²`` where the scale is infinite."""
     total = 0.0
     for c in range(weight.shape[0]):
         if weight[c] <= 0.0:
             continue
         r2 = residual_px[c, 0] ** 2 + residual_px[c, 1] ** 2
-        if np.isinf(scale_m):
+        if np.isinf(scale_px[c]):
             total += weight[c] * r2
         else:
-            s2 = (focal_px[c] * scale_m / depth_m[c]) ** 2
-            total += weight[c] * s2 * np.log1p(r2 / s2)
+            total += weight[c] * scale_px[c] ** 2 * np.log1p(r2 / scale_px[c] ** 2)
     return total
 
 
@@ -112,8 +120,7 @@ def normal_equations(  # noqa: PLR0913 - what it fills is passed in: a compiled 
     residual_px: Array,
     depth_m: Array,
     weight: Array,
-    focal_px: Array,
-    scale_m: float,
+    scale_px: Array,
     x: Array,
     hessian: Array,
     curvature: Array,
@@ -136,10 +143,9 @@ def normal_equations(  # noqa: PLR0913 - what it fills is passed in: a compiled 
         w = weight[c]
         correction = 0.0
         r2 = residual_px[c, 0] ** 2 + residual_px[c, 1] ** 2
-        if not np.isinf(scale_m):
-            s2 = (focal_px[c] * scale_m / depth_m[c]) ** 2
-            w /= 1.0 + r2 / s2
-            correction = -2.0 / (s2 + r2) * w
+        if not np.isinf(scale_px[c]):
+            w /= 1.0 + r2 / scale_px[c] ** 2
+            correction = -2.0 / (scale_px[c] ** 2 + r2) * w
         p = projections[c]
         for axis in range(2):
             projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) / depth_m[c]
@@ -177,11 +183,13 @@ def refine_point(
     trial_depth = np.zeros_like(depth_m)
     if not reprojection(projections, uv_px, weight, x, residual_px, depth_m):
         return x, BEHIND_CAMERA
-    cost = cost_of(residual_px, depth_m, weight, focal_px, scale_m)
+    # Held from here on: a scale that followed the point would reward moving away from a camera that disagrees.
+    scale_px = scale_in_image(depth_m, focal_px, scale_m)
+    cost = cost_of(residual_px, weight, scale_px)
     damping = 1e-3
     status = NOT_CONVERGED
     curvature = np.empty((3, 3))
-    normal_equations(projections, residual_px, depth_m, weight, focal_px, scale_m, x, hessian, curvature, gradient)
+    normal_equations(projections, residual_px, depth_m, weight, scale_px, x, hessian, curvature, gradient)
     damped = np.empty((3, 3))
     for _ in range(MAX_ITERATIONS):
         damped[:] = curvature
@@ -200,16 +208,14 @@ def refine_point(
         trial_cost = np.inf
         better = reprojection(projections, uv_px, weight, trial, trial_residual, trial_depth)
         if better:
-            trial_cost = cost_of(trial_residual, trial_depth, weight, focal_px, scale_m)
+            trial_cost = cost_of(trial_residual, weight, scale_px)
             better = trial_cost <= cost
         if better:
             x, cost = trial, trial_cost
             residual_px[:] = trial_residual
             depth_m[:] = trial_depth
             damping = max(damping / 10.0, 1e-12)
-            normal_equations(
-                projections, residual_px, depth_m, weight, focal_px, scale_m, x, hessian, curvature, gradient
-            )
+            normal_equations(projections, residual_px, depth_m, weight, scale_px, x, hessian, curvature, gradient)
         else:
             damping *= 10.0
         if length < STEP_TOLERANCE_M:
@@ -241,7 +247,7 @@ def best_pair(projections: Array, focal_px: Array, uv_px: Array, weight: Array, 
             x, determined = linear_point(projections, uv_px, pair_weight)
             if not determined or not reprojection(projections, uv_px, weight, x, residual_px, depth_m):
                 continue
-            cost = cost_of(residual_px, depth_m, weight, focal_px, scale_m)
+            cost = cost_of(residual_px, weight, scale_in_image(depth_m, focal_px, scale_m))
             if cost < best_cost:
                 best_cost = cost
                 best = x
