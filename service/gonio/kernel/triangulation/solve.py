@@ -162,6 +162,21 @@ def normal_equations(  # noqa: PLR0913 - what it fills is passed in: a compiled 
 
 
 @njit(cache=True)
+def damped_step(hessian: Array, curvature: Array, gradient: Array, damping: float) -> tuple[Array, bool]:
+    """Solve the damped normal equations, by the curvature if it is positive definite, else by the Hessian."""
+    damped = curvature.copy()
+    for i in range(3):
+        damped[i, i] += damping * hessian[i, i]
+    step, solvable = solve_3x3(damped, gradient)
+    if not solvable:  # between two explanations of the observations; the reweighted Hessian still leads downhill
+        damped[:] = hessian
+        for i in range(3):
+            damped[i, i] *= 1.0 + damping
+        step, solvable = solve_3x3(damped, gradient)
+    return step, solvable
+
+
+@njit(cache=True)
 def refine_point(
     projections: Array,
     focal_px: Array,
@@ -187,20 +202,10 @@ def refine_point(
     scale_px = scale_in_image(depth_m, focal_px, scale_m)
     cost = cost_of(residual_px, weight, scale_px)
     damping = 1e-3
-    status = NOT_CONVERGED
     curvature = np.empty((3, 3))
     normal_equations(projections, residual_px, depth_m, weight, scale_px, x, hessian, curvature, gradient)
-    damped = np.empty((3, 3))
     for _ in range(MAX_ITERATIONS):
-        damped[:] = curvature
-        for i in range(3):
-            damped[i, i] += damping * hessian[i, i]
-        step, solvable = solve_3x3(damped, gradient)
-        if not solvable:  # indefinite: between two explanations; the reweighted Hessian still leads downhill
-            damped[:] = hessian
-            for i in range(3):
-                damped[i, i] *= 1.0 + damping
-            step, solvable = solve_3x3(damped, gradient)
+        step, solvable = damped_step(hessian, curvature, gradient, damping)
         if not solvable:
             return x, TOO_FEW_CAMERAS
         trial = x + step
@@ -219,9 +224,8 @@ def refine_point(
         else:
             damping *= 10.0
         if length < STEP_TOLERANCE_M:
-            status = SOLVED
-            break
-    return x, status
+            return x, SOLVED
+    return x, NOT_CONVERGED
 
 
 @njit(cache=True)
