@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.kernel.geometry.cameras import focal_lengths_px, nearest_point_to_axes, projection_matrices
-from gonio.kernel.triangulation.points import triangulate
+from gonio.kernel.triangulation.points import Method, triangulate
 from gonio.records import Rig, record
 
 SAME_PERSON_M = 0.15
@@ -15,6 +15,9 @@ SAME_PERSON_M = 0.15
 Generous on purpose: a camera whose calibration has drifted by a degree is off by 70 mm at 4 m and still sees the subject;
 two people standing apart miss each other by more than half a metre in some camera.
 """
+
+FEWEST_KEYPOINTS = 4
+"""Fewer keypoints that two cameras share prove nothing: three rays meet three rays by chance."""
 
 
 @record
@@ -103,22 +106,38 @@ def _meet(
     members: dict[int, int],
 ) -> AssociatedPerson | None:
     """Triangulate the members' keypoints together; None if in any camera they miss each other."""
-    cameras = sorted(members)
-    keypoints = next(c.shape[1] for c in candidates_px if c.ndim == 3 and len(c))
+    keypoints = next(c.shape[1] for c in candidates_px if len(c))
     uv_px = np.full((len(rig.cameras), keypoints, 2), np.nan)
     weight = np.zeros((len(rig.cameras), keypoints))
-    for camera in cameras:
-        uv_px[camera] = candidates_px[camera][members[camera]]
-        weight[camera] = confidence[camera][members[camera]]
-    projections, focal_px = projection_matrices(rig), focal_lengths_px(rig)
-    solved = triangulate(projections, focal_px, uv_px, weight, method="reprojection")
-    xyz = solved.xyz_lab_m
-    if np.isfinite(xyz[:, 0]).sum() < 4:  # fewer common keypoints prove nothing
+    for camera, index in members.items():
+        uv_px[camera] = candidates_px[camera][index]
+        weight[camera] = confidence[camera][index]
+    xyz, miss_m = meet(rig, uv_px, weight, method="reprojection")
+    if np.isfinite(xyz[:, 0]).sum() < FEWEST_KEYPOINTS:
         return None
-    depth_m = projections[:, 2, :3] @ xyz.T + projections[:, 2, 3:]
-    miss_m = np.linalg.norm(solved.residual_px, axis=-1) * depth_m / focal_px[:, None]
-    worst = max(float(np.nanmedian(miss_m[camera])) for camera in cameras if np.isfinite(miss_m[camera]).any())
-    if worst > SAME_PERSON_M:
+    worst_m = max((float(miss_m[camera]) for camera in members if np.isfinite(miss_m[camera])), default=np.inf)
+    if worst_m > SAME_PERSON_M:
         return None
     candidate = tuple(members.get(camera, -1) for camera in range(len(rig.cameras)))
-    return AssociatedPerson(candidate=candidate, centre_lab_m=np.nanmedian(xyz, axis=0), error_m=worst)
+    return AssociatedPerson(candidate=candidate, centre_lab_m=np.nanmedian(xyz, axis=0), error_m=worst_m)
+
+
+def meet(
+    rig: Rig,
+    uv_px: Float[np.ndarray, "camera keypoint 2"],
+    confidence: Float[np.ndarray, "camera keypoint"],
+    *,
+    method: Method = "robust",
+) -> tuple[Float[np.ndarray, "keypoint 3"], Float[np.ndarray, " camera"]]:
+    """Triangulate one person's keypoints (undistorted pixels) and say how far each camera misses them.
+
+    The miss is the median over the camera's keypoints of the reprojection error at the point's depth, in metres; NaN for a
+    camera that shares no keypoint with another.
+    """
+    projections, focal_px = projection_matrices(rig), focal_lengths_px(rig)
+    solved = triangulate(projections, focal_px, uv_px, confidence, method=method)
+    xyz = solved.xyz_lab_m
+    depth_m = projections[:, 2, :3] @ xyz.T + projections[:, 2, 3:]
+    miss_m = np.linalg.norm(solved.residual_px, axis=-1) * depth_m / focal_px[:, None]
+    medians = [float(np.median(m[np.isfinite(m)])) if np.isfinite(m).any() else np.nan for m in miss_m]
+    return xyz, np.array(medians)
