@@ -80,7 +80,7 @@ def analyse(
     parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
 ) -> None:
     """Analyse a folder of recordings without a server."""
-    from gonio.pipeline import LocalRunner, analyse, find_capture_files, load_report, key_lines
+    from gonio.pipeline import LocalRunner, analyse, find_capture_files, key_lines, load_report
 
     wanted = json.loads(parameters.read_text()) if parameters else {}
     files = find_capture_files(folder)
@@ -94,9 +94,12 @@ def analyse(
 
 @app.command()
 def demo(
-    output: Annotated[Path, typer.Option(help="Where the service keeps its data and the report goes.")] = Path("gonio-demo"),
+    output: Annotated[Path, typer.Option(help="Where the service keeps its data and the report goes.")] = Path(
+        "gonio-demo"
+    ),
     from_file: Annotated[
-        list[Path] | None, typer.Option(help="A file to use instead of fetching it: the package of the weights or the recording.")
+        list[Path] | None,
+        typer.Option(help="A file to use instead of fetching it: the package of the weights or the recording."),
     ] = None,
 ) -> None:
     """Send four real videos over HTTP through a running service, and read the report."""
@@ -118,8 +121,12 @@ def list_models() -> None:
 
 @models_app.command("fetch")
 def fetch_models(
-    names: Annotated[list[str] | None, typer.Argument(help="Models to fetch. [default: what an analysis needs]")] = None,
-    from_file: Annotated[list[Path] | None, typer.Option(help="A package or weights file to use instead of the network.")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Models to fetch. [default: what an analysis needs]")
+    ] = None,
+    from_file: Annotated[
+        list[Path] | None, typer.Option(help="A package or weights file to use instead of the network.")
+    ] = None,
 ) -> None:
     """Fetch and convert the weights of keypoint models."""
     from gonio.demo.prepare import ensure_models

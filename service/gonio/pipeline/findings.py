@@ -78,6 +78,14 @@ KINDS: dict[str, Kind] = {
         "Keep bystanders out of the picture: they hide the subject.",
         "people",
     ),
+    "cameras-refined": Kind(
+        "warning",
+        "cameras",
+        "The calibration no longer fits: the cameras' poses were corrected on the subject's own movement, most of all "
+        "camera {where}. In moments that were not used for it, the cameras' disagreement fell by {value:.0f} %.",
+        "Calibrate again; check the tripods. Directions against the vertical keep the calibration's uncertainty.",
+        "%",
+    ),
     "camera-biased": Kind(
         "warning",
         "triangulation",

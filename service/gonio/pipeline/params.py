@@ -45,6 +45,12 @@ class ReconstructionParameters:
     min_confidence: Annotated[
         float, Field(ge=0, lt=1, description="Keypoints that the model trusts less are not used.")
     ] = 0.5
+    refine_cameras: Annotated[
+        bool,
+        Field(
+            description="Correct the cameras' poses on the subject's own movement, if that lowers the held-out error."
+        ),
+    ] = True
     low_pass_hz: Annotated[
         float, Field(gt=0, le=60, description="Cutoff of the zero-lag Butterworth filter that follows the median.")
     ] = 6.0

@@ -1,4 +1,4 @@
-"""Stages ``triangulation`` and ``smoothing``: from keypoints in the images to points in the lab, and a verdict on them."""
+"""Stages ``cameras``, ``triangulation`` and ``smoothing``: from keypoints in the images to points in the lab, judged."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.kernel.calibration.lab_frame import heading_rad
+from gonio.kernel.calibration.person import PersonRefinement, refine_on_person, unrefined
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
 from gonio.kernel.geometry.transforms import apply, rotation_about_y, transform
 from gonio.kernel.smoothing.filters import low_pass, median_filter, median_window
@@ -42,6 +43,18 @@ class Reconstruction:
     points: LabPoints
     camera_weight: Float[np.ndarray, "camera frame keypoint"]
     miss_m: Float[np.ndarray, "camera frame keypoint"]
+
+
+def refine_cameras(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters) -> Outcome[PersonRefinement]:
+    """Correct the cameras' poses on the subject's own movement, where that is wanted and proves itself."""
+    if not parameters.refine_cameras:
+        return Outcome(unrefined(rig))
+    refinement = refine_on_person(rig, keypoints, parameters.min_confidence)
+    if not refinement.kept:
+        return Outcome(refinement)
+    most = rig.names[int(np.argmax(refinement.moved_m))]
+    fall = 100 * (1 - refinement.error_after_px / refinement.error_before_px)
+    return Outcome(refinement, (finding("cameras-refined", where=most, value=fall),))
 
 
 def reconstruct(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters) -> Outcome[Reconstruction]:

@@ -28,7 +28,7 @@ SOMEBODY_ELSE_M = 2 * SAME_PERSON_M
 """A camera that misses the person by this much follows somebody else: limbs that it confuses for some frames miss less."""
 
 RETRY_FRAMES = 5
-"""A camera that has lost the subject looks for it in every fifth frame: finding people costs three times as much as following."""
+"""A camera that has lost the subject looks for it in every fifth frame: finding costs three times as much as following."""
 
 
 @record
@@ -166,7 +166,9 @@ class _Follower:
                 due.append(camera)
         if not due or sum(person is not None for person in people) < 2:
             return people
-        for camera, candidates in zip(due, pool.map(lambda i: self._trackers[i].candidates(frames[i]), due), strict=True):
+        for camera, candidates in zip(
+            due, pool.map(lambda i: self._trackers[i].candidates(frames[i]), due), strict=True
+        ):
             fitting: list[tuple[float, int]] = []
             for index, candidate in enumerate(candidates):
                 trial = [candidate if i == camera else person for i, person in enumerate(people)]
