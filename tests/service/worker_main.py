@@ -1,4 +1,4 @@
-"""A worker with a small river: real stages that read the real files, compute, take their time, fail or crash on request.
+"""A worker with a small river: real stages that read the files, compute, take their time, and fail on request.
 
 Run as a process: ``python worker_main.py``. What its stages do is written to the file ``parameters["journal"]``.
 """
