@@ -53,3 +53,8 @@ class Settings(BaseSettings):
     def resolved_objects_url(self) -> str:
         """The object store's URL with its default filled in."""
         return self.objects_url or (self.data_dir.absolute() / "objects").as_uri()
+
+    def environment(self) -> dict[str, str]:
+        """Give the environment variables from which another process makes the same settings."""
+        prefix = self.model_config.get("env_prefix", "")
+        return {f"{prefix}{name.upper()}": str(value) for name, value in self}

@@ -1,0 +1,89 @@
+"""Run the service: the API in this process, the workers in processes of their own."""
+
+import socket
+import threading
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+
+import uvicorn
+
+from gonio.errors import ResourceError
+from gonio.http.app import create_app
+from gonio.jobs.database import upgrade
+from gonio.jobs.probe import Probe, probe_file
+from gonio.jobs.supervisor import WORKER_COMMAND, Supervisor
+from gonio.settings import Settings
+
+GRACE_S = 3
+"""How long requests may go on when the service stops; an upload that is cut then leaves nothing."""
+
+
+def serve(
+    settings: Settings,
+    *,
+    on_ready: Callable[[str], None] | None = None,
+    worker_command: Sequence[str] = WORKER_COMMAND,
+    probe: Probe = probe_file,
+) -> None:
+    """Serve until SIGINT or SIGTERM: `gonio serve`. ``on_ready`` hears the address as soon as it answers.
+
+    Raises:
+        ResourceError: ``port-taken``.
+    """
+    with _listening(settings) as listener:
+        upgrade(settings)
+        with Supervisor(settings, worker_command):
+            _Server(settings, probe, lambda: on_ready and on_ready(_url(listener))).run(sockets=[listener])
+
+
+@contextmanager
+def serving(
+    settings: Settings, *, worker_command: Sequence[str] = WORKER_COMMAND, probe: Probe = probe_file
+) -> Generator[str]:
+    """Serve in the background for as long as the block lasts, and give the address: `gonio demo`, and tests."""
+    ready = threading.Event()
+    with _listening(settings) as listener:
+        upgrade(settings)
+        server = _Server(settings, probe, ready.set)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="server")
+        with Supervisor(settings, worker_command):
+            thread.start()
+            while not ready.wait(0.05) and thread.is_alive():
+                pass
+            try:
+                yield _url(listener)
+            finally:
+                server.should_exit = True
+                thread.join()
+
+
+class _Server(uvicorn.Server):
+    def __init__(self, settings: Settings, probe: Probe, on_ready: Callable[[], object]) -> None:
+        app = create_app(settings, probe=probe)
+        super().__init__(uvicorn.Config(app, timeout_graceful_shutdown=GRACE_S, access_log=False, log_level="warning"))
+        self._on_ready = on_ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_ready()
+
+
+@contextmanager
+def _listening(settings: Settings) -> Generator[socket.socket]:
+    """Take the port before anything else is started."""
+    try:
+        listener = socket.create_server((settings.host, settings.port), backlog=2048)
+    except OSError as error:
+        raise ResourceError(
+            f"{settings.host}:{settings.port} can't be listened on: {error.strerror}.",
+            hint="Another service may run there. Choose another port with GONIO_PORT.",
+            code="port-taken",
+        ) from error
+    with listener:
+        yield listener
+
+
+def _url(listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    return f"http://{host}:{port}" if ":" not in host else f"http://[{host}]:{port}"

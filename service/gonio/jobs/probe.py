@@ -1,0 +1,25 @@
+"""A look into a file before it is accepted: what can't be read is refused while its sender is still there."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+from gonio.pipeline.run import Role
+
+Probe = Callable[[Path, Role], dict[str, Any]]
+"""Opens a file in its role and gives the facts that its owner wants to see (rate, frames, cameras); plain JSON.
+
+Raises a GonioError that names the file and the remedy.
+"""
+
+
+def probe_file(path: Path, role: Role) -> dict[str, Any]:
+    """Look into a file with gonio's own readers."""
+    # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
+    if role == "video":
+        from gonio.vision.video import probe_video  # pyright: ignore[reportMissingImports]
+
+        return cast("dict[str, Any]", probe_video(path))
+    from gonio.formats.qualisys import read_qualisys_calibration
+
+    return {"cameras": list(read_qualisys_calibration(path).names)}
