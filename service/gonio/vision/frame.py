@@ -16,10 +16,10 @@ from jaxtyping import Float, Float32, UInt8
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """How a picture's YUV is meant: RGB in [0, 1] is ``matrix @ yuv + offset``, for uint8 values of Y, U and V."""
+    """How a picture's YUV is meant: RGB in [0, 1] is ``matrix @ (yuv - black)``, for uint8 values of Y, U and V."""
 
     matrix: Float[np.ndarray, "3 3"]
-    offset: Float[np.ndarray, "3"]
+    black: Float[np.ndarray, "3"]
 
     @classmethod
     def of(cls, red: float, blue: float, *, full_range: bool) -> "Colour":
@@ -39,7 +39,7 @@ class Colour:
             ]
         )
         matrix /= [255, 255, 255] if full_range else [219, 224, 224]
-        return cls(matrix=matrix, offset=-matrix @ [0.0 if full_range else 16.0, 128.0, 128.0])
+        return cls(matrix=matrix, black=np.array([0.0 if full_range else 16.0, 128.0, 128.0]))
 
 
 BT601, BT709, BT2020 = (0.299, 0.114), (0.2126, 0.0722), (0.2627, 0.0593)
@@ -101,7 +101,6 @@ class Frame:
         T_chroma_luma = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
         T_chroma_crop = T_chroma_luma @ T_luma_crop
         mode = cv2.BORDER_REPLICATE if border == "replicate" else cv2.BORDER_CONSTANT
-        black = np.linalg.solve(self.colour.matrix, -self.colour.offset)
         warped = [
             cv2.warpAffine(
                 plane,
@@ -109,9 +108,11 @@ class Frame:
                 (size_px, size_px),
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
                 borderMode=mode,
-                borderValue=float(value),
+                borderValue=black,
             )
-            for plane, T, value in zip(self.planes, (T_luma_crop, T_chroma_crop, T_chroma_crop), black, strict=True)
+            for plane, T, black in zip(
+                self.planes, (T_luma_crop, T_chroma_crop, T_chroma_crop), self.colour.black.tolist(), strict=True
+            )
         ]
         return self._to_rgb(warped, value_range)
 
@@ -132,8 +133,8 @@ class Frame:
     ) -> Float32[np.ndarray, "height width 3"]:
         """Convert three planes of one size to RGB."""
         low, high = value_range
-        matrix = (self.colour.matrix * (high - low)).astype(np.float32)
-        offset = (self.colour.offset * (high - low) + low).astype(np.float32)
-        rgb = cv2.merge(list(planes)).astype(np.float32) @ matrix.T
-        rgb += offset
+        matrix = self.colour.matrix * (high - low)
+        affine = np.column_stack([matrix, low - matrix @ self.colour.black]).astype(np.float32)
+        # OpenCV's transform takes a tenth of the time of numpy's product for such thin matrices.
+        rgb = np.asarray(cv2.transform(cv2.merge(list(planes)).astype(np.float32), affine))
         return np.clip(rgb, low, high, out=rgb)

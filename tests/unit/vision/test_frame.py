@@ -27,17 +27,16 @@ def frame_of(luma: np.ndarray, rotation_deg: int = 0, colour: Colour = GREY) -> 
 def test_bt601_limited_range(yuv: tuple[int, ...], rgb: tuple[int, ...]) -> None:
     """Black, white, red and blue as the recommendation rounds them: half a step of 219 and its gain of 2 is 0.005."""
     colour = Colour.of(*BT601, full_range=False)
-    np.testing.assert_allclose(colour.matrix @ yuv + colour.offset, rgb, atol=0.006)
+    np.testing.assert_allclose(colour.matrix @ (yuv - colour.black), rgb, atol=0.006)
 
 
 def test_full_range_and_bt709() -> None:
     colour = Colour.of(*BT709, full_range=True)
-    np.testing.assert_allclose(colour.matrix @ [255, 128, 128] + colour.offset, [1, 1, 1], atol=1e-12)
+    np.testing.assert_allclose(colour.matrix @ ([255, 128, 128] - colour.black), [1, 1, 1], atol=1e-12)
     # Pure green has Y = K_G; U = -K_G / (2 (1 - K_B)), V = -K_G / (2 (1 - K_R)).
     y, u, v = 0.7152, -0.7152 / (2 * 0.9278), -0.7152 / (2 * 0.7874)
-    np.testing.assert_allclose(
-        colour.matrix @ [255 * y, 128 + 255 * u, 128 + 255 * v] + colour.offset, [0, 1, 0], atol=1e-12
-    )
+    yuv = np.array([255 * y, 128 + 255 * u, 128 + 255 * v])
+    np.testing.assert_allclose(colour.matrix @ (yuv - colour.black), [0, 1, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("rotation_deg", "turns"), [(0, 0), (90, -1), (180, 2), (270, 1)])

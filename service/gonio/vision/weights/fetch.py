@@ -90,18 +90,19 @@ def _obtain(
 ) -> tuple[WeightSource, bytes]:
     """Give the weights' source file and where it is from."""
     for source in card.sources:
-        kept = _kept_path(cache_dir, source)
+        kept = kept_source(cache_dir, source)
         if kept.is_file() and _sha256(data := kept.read_bytes()) == source.sha256:
             return source, data
     if from_file is not None:
         source, data = _read_brought_file(card, from_file)
     else:
         source, data = _download(card, report, offline=offline)
-    _write_atomically(_kept_path(cache_dir, source), data)
+    _write_atomically(kept_source(cache_dir, source), data)
     return source, data
 
 
-def _kept_path(cache_dir: Path, source: WeightSource) -> Path:
+def kept_source(cache_dir: Path, source: WeightSource) -> Path:
+    """Give the place in the cache of a source file as it was published."""
     return cache_dir / "weights" / f"{source.sha256}.tflite"
 
 
