@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -57,20 +57,22 @@ def serve(
     data_dir: Annotated[Path | None, typer.Option(help="Where sessions and reports are kept.")] = None,
 ) -> None:
     """Start the service and its workers; Ctrl-C stops all of them."""
-    from gonio.http.serve import serve as run
+    from gonio.http.server import serve as run
     from gonio.settings import Settings
 
     chosen = {"host": host, "port": port, "workers": workers, "data_dir": data_dir}
-    run(Settings(**{name: value for name, value in chosen.items() if value is not None}))
+    settings = Settings(**{name: value for name, value in chosen.items() if value is not None})
+    run(settings, on_ready=lambda url: console.print(f"gonio listens on {url} (API reference: {url}/docs)"))
 
 
 @app.command()
-def worker(name: Annotated[str, typer.Argument(help="A name that no other worker has.")]) -> None:
+def worker() -> None:
     """Join the service as one more worker, from this or another machine."""
     from gonio.jobs.worker import run_worker
+    from gonio.pipeline import analyse as river
     from gonio.settings import Settings
 
-    run_worker(Settings(), name)
+    run_worker(Settings(), river)
 
 
 @app.command()
@@ -111,12 +113,13 @@ def demo(
 @models_app.command("list")
 def list_models() -> None:
     """List the keypoint models and whether their weights are here."""
-    from gonio.vision.model_cards import read_cards
+    from gonio.settings import Settings
+    from gonio.vision.model_cards import list_cards, load_card
     from gonio.vision.weights import cached_weights
 
-    for card in read_cards():
-        state = "here" if cached_weights(card) else "not fetched"
-        print(f"{card.name:20} {state:12} {card.licence:12} {card.source}")
+    for card in map(load_card, list_cards()):
+        state = "here" if cached_weights(card, Settings().cache_dir) else "not fetched"
+        print(f"{card.name:20} {state:12} {card.licence:12} {card.credit}")
 
 
 @models_app.command("fetch")
@@ -129,7 +132,7 @@ def fetch_models(
     ] = None,
 ) -> None:
     """Fetch and convert the weights of keypoint models."""
-    from gonio.demo.prepare import ensure_models
+    from gonio.demo.weights import ensure_models
 
     ensure_models(names or None, from_file or [], console)
 
@@ -157,7 +160,7 @@ def doctor() -> None:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Advance]:
+def progress_bar(title: str) -> Generator[Advance]:
     """Show a bar with the stage, the share that is done and the seconds that remain."""
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn()
     with Progress(*columns, TextColumn("{task.fields[remaining]}"), console=console) as bar:

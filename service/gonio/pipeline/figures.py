@@ -16,22 +16,21 @@ COLOURS = {"right": "#D55E00", "left": "#0072B2"}
 
 DASHES = {"right": "solid", "left": (0, (5, 2))}
 
-TITLES = {"hip": "Hip flexion", "knee": "Knee flexion", "ankle": "Ankle dorsiflexion"}
-
 
 def angle_figure(time_s: Sequence[float], angles: Sequence[Angle]) -> str:
     """Draw the joint angles over time, a row a joint, right and left together; gaps stay gaps."""
-    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
+    names = list(dict.fromkeys(angle.name for angle in angles))
+    figure = Figure(figsize=(8.0, 0.4 + 2.0 * len(names)), layout="constrained")
     FigureCanvasSVG(figure)
-    rows = figure.subplots(3, 1, sharex=True)
-    for axes, joint in zip(rows, TITLES, strict=True):
-        for angle in (a for a in angles if a.joint == joint):
+    rows = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(rows, names, strict=True):
+        for angle in (a for a in angles if a.name == name):
             values = [float("nan") if v is None else v for v in angle.values_deg]
             axes.plot(
                 time_s, values, color=COLOURS[angle.side], linestyle=DASHES[angle.side], linewidth=1.8, label=angle.side
             )
         axes.axhline(0.0, color="#888888", linewidth=0.6)
-        axes.set_title(TITLES[joint], loc="left", fontsize=10, fontweight="bold")
+        axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
         axes.set_ylabel("degrees")
         axes.grid(visible=True, color="#e4e4e4", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)

@@ -6,6 +6,7 @@ from typing import Any
 
 from gonio.pipeline.body import fit_motion, scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
+from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.params import parse_parameters
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
@@ -40,13 +41,18 @@ def analyse(
     refined = runner("cameras", lambda _: refine_cameras(keypoints.points, capture.rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(keypoints.points, refined.rig, chosen.reconstruction))
     points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
-    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, chosen.keypoints.model))
+    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject))
     motion = runner("kinematics", lambda _: fit_motion(body, points))
 
-    def report(_progress: object) -> Outcome[ReportFiles]:
-        findings = runner.findings
-        return Outcome(
-            write_report(capture_files, chosen, capture, keypoints, raw, points, body, motion, findings, output_dir)
-        )
-
-    return runner("report", report)
+    analysis = Analysis(
+        files=tuple(capture_files),
+        parameters=chosen,
+        capture=capture,
+        keypoints=keypoints,
+        refinement=refined,
+        raw=raw,
+        points=points,
+        body=body,
+        motion=motion,
+    )
+    return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))

@@ -1,174 +1,68 @@
-"""Stage ``report``: everything that was computed, judged and written down, for people and for programs."""
+"""Stage ``report``: what was computed, written down for people (HTML), for programs (JSON) and for OpenSim (TRC, MOT)."""
 
 import base64
-import hashlib
-import importlib.metadata
-import platform
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from gonio.pipeline.figures import TITLES, angle_figure
-from gonio.pipeline.params import Parameters, parameters_document
-from gonio.pipeline.reconstruction import Reconstruction as ReconstructionResult
-from gonio.pipeline.reconstruction import camera_bias_px, segment_lengths_m
-from gonio.pipeline.report_schema import (
-    Angle,
-    BodyFit,
-    CameraReport,
-    GaitReport,
-    InputFile,
-    Level,
-    Provenance,
-    Reconstruction,
-    ReportFinding,
-    SegmentReport,
-    Series,
-    Verdict,
-)
-from gonio.pipeline.run import CaptureFile
-from gonio.records import Capture, Finding, LabPoints
-
-SENTENCES: dict[Level, str] = {
-    "good": "The cameras and the body model agree: the angles can be trusted within a few degrees.",
-    "usable": "The angles can be used with care: read the findings first.",
-    "poor": "Don't rest a decision on these angles: something serious is wrong with the recording.",
-}
+from gonio.formats.mot import table_of_motion, write_mot
+from gonio.formats.trc import Trajectories, write_trc
+from gonio.kernel.geometry.cameras import project
+from gonio.pipeline.describe import Analysis, describe
+from gonio.pipeline.figures import angle_figure
+from gonio.pipeline.keypoints import DETECTOR
+from gonio.pipeline.report_schema import GaitReport
+from gonio.pipeline.run import ReportFiles
+from gonio.records import Finding
+from gonio.vision.model_cards import load_card
+from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
+from gonio.vision.weights import default_cache_dir, ensure_weights
 
 
-def verdict_of(findings: Sequence[Finding]) -> Verdict:
-    """Weigh the findings: a serious one makes the result poor, a warning usable."""
-    severities = {f.severity for f in findings}
-    level: Level = "poor" if "serious" in severities else "usable" if "warning" in severities else "good"
-    return Verdict(level=level, sentence=SENTENCES[level])
+def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
+    """Write ``report.json``, ``report.html``, ``markers.trc`` and ``motion.mot`` into ``output_dir``."""
+    names = (DETECTOR, analysis.parameters.keypoints.model)
+    weights = {name: ensure_weights(load_card(name), default_cache_dir(), offline=True) for name in names}
+    report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
+    document, page = output_dir / "report.json", output_dir / "report.html"
+    document.write_text(report.model_dump_json(indent=1), encoding="utf-8")
+    page.write_text(render_html(report, draw_pictures(analysis)), encoding="utf-8")
+    markers, motion = output_dir / "markers.trc", output_dir / "motion.mot"
+    points = analysis.points
+    write_trc(
+        markers,
+        Trajectories(
+            names=points.keypoint_names,
+            times_s=points.timebase.times_s(len(points.xyz_lab_m)),
+            xyz_m=points.xyz_lab_m,
+            rate_hz=points.timebase.rate_hz,
+        ),
+    )
+    write_mot(motion, table_of_motion(analysis.motion))
+    return ReportFiles(document=document, page=page, others=(markers, motion))
 
 
-def describe_reconstruction(
-    capture: Capture, raw: ReconstructionResult, smoothed: LabPoints, seen: np.ndarray, parameters: Parameters
-) -> Reconstruction:
-    """Describe the cameras' agreement; ``seen`` (camera, frame) says where a camera saw the subject."""
-    error_px = np.linalg.norm(raw.points.residual_px, axis=-1)
-    bias = camera_bias_px(raw.points)
-    cameras: list[CameraReport] = []
-    for i, view in enumerate(capture.views):
-        observed = np.isfinite(error_px[i])
-        cameras.append(
-            CameraReport(
-                name=view.camera_name,
-                file=view.file_name,
-                image_width_px=view.image_size_px[0],
-                image_height_px=view.image_size_px[1],
-                recorded_rate_hz=view.rate_hz,
-                recorded_frames=view.frame_count,
-                observations=int(observed.sum()),
-                seen_fraction=round(float(seen[i].mean()), 4),
-                reprojection_mean_px=number(mean(error_px[i])),
-                reprojection_median_px=number(median(error_px[i])),
-                bias_u_px=number(bias[i, 0]),
-                bias_v_px=number(bias[i, 1]),
-                rejected_fraction=round(float((raw.camera_weight[i][observed] < 0.25).mean()), 4)
-                if observed.any()
-                else 0.0,
-            )
+def load_report(document: Path) -> GaitReport:
+    """Read a report that :func:`write_report` wrote."""
+    return GaitReport.model_validate_json(document.read_bytes())
+
+
+def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
+    """Draw the smoothed points over the still frame of each camera: what the reader can check by eye."""
+    card = load_card(analysis.parameters.keypoints.model)
+    assert card.keypoints is not None  # a landmark card has them: its own check
+    keypoints, points = analysis.keypoints, analysis.points
+    drawn: dict[str, bytes] = {}
+    for camera, path, scale in zip(analysis.raw.rig.cameras, keypoints.pictures, keypoints.picture_scale, strict=True):
+        uv_px = project(camera, points.xyz_lab_m[keypoints.picture_frame])
+        # A pixel's centre is at a whole number, its edges at halves: scaling acts on the edges.
+        place_px = (uv_px + 0.5) * scale - 0.5
+        picture = decode_jpeg(path.read_bytes())
+        drawn[camera.name] = encode_jpeg(
+            draw_skeleton(picture, place_px, points.keypoint_names, card.keypoints.segments)
         )
-    before, after = segment_lengths_m(raw.points), segment_lengths_m(smoothed)
-    segments = [
-        SegmentReport(
-            name=name,
-            mean_mm=number(1e3 * mean(after[name]), 1),
-            sd_mm=number(1e3 * spread(after[name])),
-            sd_raw_mm=number(1e3 * spread(before[name])),
-        )
-        for name in after
-    ]
-    return Reconstruction(
-        method=parameters.reconstruction.method,
-        keypoint_model=parameters.keypoints.model,
-        observations=int(np.isfinite(error_px).sum()),
-        reprojection_mean_px=number(mean(error_px)),
-        reprojection_median_px=number(median(error_px)),
-        disagreement_median_mm=number(1e3 * median(raw.miss_m)),
-        cameras=cameras,
-        segments=segments,
-    )
-
-
-def describe_angle(joint: str, side: str, positive: str, values_rad: np.ndarray) -> Angle:
-    """Describe one joint angle over time, in degrees."""
-    degrees = np.rad2deg(values_rad)
-    known = degrees[np.isfinite(degrees)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
-    return Angle.model_validate(
-        {
-            "joint": joint,
-            "side": side,
-            "name": TITLES[joint],
-            "positive": positive,
-            "values_deg": series(degrees),
-            "min_deg": number(low),
-            "max_deg": number(high),
-            "range_deg": number(high - low),
-        }
-    )
-
-
-def describe_provenance(files: Sequence[CaptureFile], parameters: Parameters, models: Mapping[str, Path]) -> Provenance:
-    """Describe where the report came from: inputs, settings, software and models, each by its hash or version."""
-    packages = ("numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless")
-    return Provenance(
-        inputs=[
-            InputFile(name=f.name, role=f.role, sha256=sha256_of(f.path), size_bytes=f.path.stat().st_size)
-            for f in files
-        ],
-        parameters=parameters_document(parameters),
-        software={
-            "gonio": importlib.metadata.version("gonio"),
-            "python": platform.python_version(),
-            **{name: importlib.metadata.version(name) for name in packages},
-        },
-        models={name: sha256_of(path) for name, path in models.items()},
-    )
-
-
-def assemble(
-    capture: Capture,
-    findings: Sequence[Finding],
-    reconstruction: Reconstruction,
-    body: BodyFit,
-    angles: Sequence[Angle],
-    provenance: Provenance,
-) -> GaitReport:
-    """Put the report together; the worst findings come first."""
-    order = {"serious": 0, "warning": 1, "info": 2}
-    ranked = sorted(findings, key=lambda f: order[f.severity])
-    return GaitReport(
-        created=datetime.now(UTC).replace(microsecond=0),
-        verdict=verdict_of(findings),
-        findings=[
-            ReportFinding(
-                code=f.code,
-                severity=f.severity,
-                stage=f.stage,
-                message=f.message,
-                hint=f.hint,
-                where=f.where,
-                value=f.value,
-                unit=f.unit,
-            )
-            for f in ranked
-        ],
-        rate_hz=capture.timebase.rate_hz,
-        frames=capture.frame_count,
-        duration_s=round(capture.frame_count / capture.timebase.rate_hz, 4),
-        reconstruction=reconstruction,
-        body=body,
-        time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
-        angles=list(angles),
-        provenance=provenance,
-    )
+    return drawn
 
 
 def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
@@ -183,7 +77,6 @@ def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
         report=report,
         angle_svg=angle_figure(report.time_s, report.angles),
         pictures={name: base64.b64encode(jpeg).decode() for name, jpeg in pictures.items()},
-        titles=TITLES,
     )
 
 
@@ -207,37 +100,3 @@ def key_lines(report: GaitReport) -> list[str]:
         f"Body fit: {b.marker_rms_mean_mm} mm RMS in {b.frames_solved} of {report.frames} frames",
         f"Knee flexion: right {extent('knee', 'right')}, left {extent('knee', 'left')}",
     ]
-
-
-def sha256_of(path: Path) -> str:
-    """Give the sha256 of a file, in hex."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def number(value: float, digits: int = 2) -> float | None:
-    """Round a number for the report; NaN becomes null."""
-    return round(float(value), digits) if np.isfinite(value) else None
-
-
-def series(values: np.ndarray) -> Series:
-    """Round a curve for the report; NaN becomes null."""
-    return [number(v, 3) for v in values]
-
-
-def mean(values: np.ndarray) -> float:
-    """Give the mean of the known values, NaN if none is known."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else np.nan
-
-
-def median(values: np.ndarray) -> float:
-    """Give the median of the known values, NaN if none is known."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else np.nan
-
-
-def spread(values: np.ndarray) -> float:
-    """Give the standard deviation of the known values, NaN with fewer than two."""
-    known = values[np.isfinite(values)]
-    return float(known.std()) if known.size > 1 else np.nan

@@ -56,6 +56,10 @@ class CameraReport(_Model):
     reprojection_median_px: float | None
     bias_u_px: Annotated[float | None, Field(description="Mean residual to the right; a good calibration leaves 0.")]
     bias_v_px: Annotated[float | None, Field(description="Mean residual downwards.")]
+    corrected_by_mm: Annotated[
+        float | None, Field(description="How far the camera's pose was corrected on the subject.")
+    ]
+    corrected_by_deg: float | None
     rejected_fraction: Annotated[float, Field(description="Share of observations that contradicted the other cameras.")]
 
 
@@ -77,6 +81,11 @@ class Reconstruction(_Model):
     reprojection_mean_px: float | None
     reprojection_median_px: float | None
     disagreement_median_mm: Annotated[float | None, Field(description="Median reprojection error at the subject.")]
+    cameras_refined: Annotated[bool, Field(description="Whether the cameras' poses were corrected on the subject.")]
+    held_out_before_px: Annotated[
+        float | None, Field(description="Mean reprojection error in held-out moments, by the calibration as it came.")
+    ]
+    held_out_after_px: Annotated[float | None, Field(description="The same with corrected cameras.")]
     cameras: list[CameraReport]
     segments: list[SegmentReport]
     heading: str = "The lab is turned about its vertical so that the subject heads towards +X."

@@ -33,7 +33,7 @@ def draw_skeleton(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Draw a skeleton over a picture: right vermillion, left blue, the rest yellow. NaN points draw nothing."""
     picture = rgb.copy()
-    thickness = max(2, round(max(rgb.shape) / 400))
+    thickness = max(2, round(max(rgb.shape) / 240))
     place = dict(zip(names, uv_px, strict=True))
     for start, end in segments:
         if np.isfinite([place[start], place[end]]).all():
