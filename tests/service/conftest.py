@@ -85,7 +85,7 @@ def make_settings(folder: Path, **values: Any) -> Settings:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Iterator[Lab]:
     """A service with one worker, for the tests of a module that don't break anything."""
-    folder = tmp_path_factory.mktemp("lab")
+    folder = tmp_path_factory.mktemp("a lab ü ")
     with running_lab(make_settings(folder, workers=1), folder) as lab:
         yield lab
 

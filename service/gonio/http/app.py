@@ -9,6 +9,8 @@ from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp
 
 from gonio.errors import GonioError
 from gonio.http import problems
@@ -35,7 +37,11 @@ Every answer that is no success is a problem document (application/problem+json)
 
 
 class Application(FastAPI):
-    """A FastAPI application whose OpenAPI document knows problem documents."""
+    """A FastAPI application in an envelope, whose OpenAPI document knows problem documents."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Put the envelope around everything: what FastAPI adds by itself answers in plain text."""
+        return Envelope(super().build_middleware_stack())
 
     def openapi(self) -> dict[str, Any]:
         """Give the OpenAPI document."""
@@ -71,7 +77,8 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
         max_body_size=settings.max_json_bytes,
     )
     app.state.settings = settings
-    app.add_middleware(Envelope)
+    app.add_exception_handler(Exception, problems.of_unforeseen_error)
+    app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
     app.add_exception_handler(GonioError, problems.of_gonio_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)

@@ -157,6 +157,11 @@ def of_invalid_request(request: Request, error: Exception) -> JSONResponse:
     return problem(request, "invalid-request", detail, hint=hint, members={"errors": errors})
 
 
+def of_disconnect(request: Request, error: Exception) -> JSONResponse:
+    """Answer a sender who went away, for the log of a proxy in between."""
+    return problem(request, "upload-truncated", KINDS["upload-truncated"].meaning, hint="Send it again.")
+
+
 def of_unforeseen_error(request: Request, error: Exception) -> JSONResponse:
     """Answer with a reference; what happened is in the log and nowhere else."""
     reference = uuid4().hex[:12]
