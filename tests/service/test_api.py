@@ -240,6 +240,7 @@ def test_health(lab):
     assert lab.http.get("/readyz").json()["status"] == "ready"
 
 
+@pytest.mark.slow
 def test_pages_for_people_load_nothing_from_elsewhere_and_escape(lab, capture, journal):
     session = create(lab, name="<script>alert(1)</script>").json()["id"]
     for path in capture.iterdir():

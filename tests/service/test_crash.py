@@ -24,7 +24,7 @@ def test_a_job_survives_the_kill_of_its_worker_and_repeats_no_finished_stage(sta
     other = lab.client.analyse(session, {"journal": str(undisturbed)})["id"]
     lab.client.wait(other, timeout_s=20)
 
-    job = lab.client.analyse(session, journal.parameters(seconds=1.5))["id"]
+    job = lab.client.analyse(session, journal.parameters(seconds=1.0))["id"]
     journal.wait_for("begin dynamics")
     second = start_worker(lab.settings)
     time.sleep(0.2)
@@ -133,6 +133,7 @@ def test_an_upload_whose_server_is_killed_is_swept_away_and_what_was_accepted_is
     assert lab.http.get(accepted["content"]).content == (capture / "cam01.mp4").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_running_upload_is_not_swept_by_another_server(start_lab):
     lab = start_lab(workers=0)
     session = lab.client.create_session()["id"]

@@ -14,6 +14,7 @@ from gonio.http.server import serve, serving
 from gonio.settings import Settings
 
 
+@pytest.mark.slow
 def test_a_service_in_the_background_leaves_nothing_running(tmp_path, capture, journal):
     settings = Settings(data_dir=tmp_path / "data", cache_dir=tmp_path / "cache", port=0, free_disk_floor=0)
     worker = (sys.executable, str(__file__).replace("test_server", "worker_main"))
@@ -36,6 +37,7 @@ def test_a_service_in_the_background_leaves_nothing_running(tmp_path, capture, j
     assert caught.value.code == "service-unreachable"
 
 
+@pytest.mark.slow
 def test_a_stopped_service_ends_its_worker_and_itself_in_peace(start_lab, capture, journal):
     lab = start_lab(workers=1)
     lab.client.analyse(lab.complete_session(capture), journal.parameters(seconds=30))

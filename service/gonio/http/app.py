@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any
 
@@ -32,7 +33,8 @@ A gait laboratory: upload the videos of a capture and their calibration, start a
   curl $G/jobs/$J
   curl $G/reports/$J
 
-Every answer that is no success is a problem document (application/problem+json) with a code, a detail and a hint.
+Every answer that is no success is a problem document (application/problem+json) with a code, a detail
+and a hint.
 """
 
 
@@ -48,6 +50,11 @@ class Application(FastAPI):
         document = super().openapi()
         schema = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         document["components"]["schemas"].setdefault("Problem", schema)
+        for methods in document["paths"].values():
+            for operation in methods.values():
+                for status, response in operation["responses"].items():
+                    if response["description"] == "Successful Response":  # the framework's word for all of them
+                        response["description"] = HTTPStatus(int(status)).phrase
         return document
 
 

@@ -95,7 +95,7 @@ def fails(*codes: str) -> dict[int | str, dict[str, Any]]:
     for code in (*codes, "invalid-request", "internal-error"):
         kind = KINDS[code]
         entry = responses.setdefault(kind.status, {"description": "", "content": {MEDIA_TYPE: {"schema": _SCHEMA}}})
-        entry["description"] += f"{' ' if entry['description'] else ''}`{code}`: {kind.meaning}"
+        entry["description"] += f"* `{code}`: {kind.meaning}\n"
     return responses
 
 

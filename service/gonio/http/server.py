@@ -81,10 +81,15 @@ class _Server(uvicorn.Server):
 @contextmanager
 def _listening(settings: Settings) -> Generator[socket.socket]:
     """Take the port before anything else is started."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    # The protocol is named, or asyncio would not see that it is TCP and leave Nagle's delay of 40 ms on each answer.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-        listener = socket.create_server((settings.host, settings.port), family=family, backlog=2048)
+        listener.bind((settings.host, settings.port))
+        listener.listen(2048)
     except OSError as error:
+        listener.close()
         raise ResourceError(
             f"{settings.host}:{settings.port} can't be listened on: {error.strerror}.",
             hint="Another service may run there. Choose another port with GONIO_PORT.",

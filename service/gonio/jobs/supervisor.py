@@ -13,7 +13,7 @@ from gonio.settings import Settings
 log = logging.getLogger(__name__)
 
 WORKER_COMMAND = (sys.executable, "-m", "gonio.jobs.worker")
-FIRST_PAUSE_S, LAST_PAUSE_S = 0.2, 30.0
+FIRST_PAUSE_S, LAST_PAUSE_S = 0.1, 30.0
 STABLE_S = 60.0
 """A worker that lived this long had no trouble starting: the pause before its restart is the first one again."""
 GRACE_S = 5.0
