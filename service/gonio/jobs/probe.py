@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from gonio.pipeline.run import Role
 
@@ -17,9 +17,17 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
     """Look into a file with gonio's own readers."""
     # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
     if role == "video":
-        from gonio.vision.video import probe_video  # pyright: ignore[reportMissingImports]
+        from gonio.vision.video import probe_video
 
-        return cast("dict[str, Any]", probe_video(path))
-    from gonio.formats.qualisys import read_qualisys_calibration
+        info = probe_video(path)
+        return {
+            "codec": info.codec,
+            "width_px": info.image_size_px[0],
+            "height_px": info.image_size_px[1],
+            "rate_hz": info.rate_hz,
+            "frames": info.frame_count,
+            "duration_s": info.duration_s,
+        }
+    from gonio.formats.calibration import read_calibration
 
-    return {"cameras": list(read_qualisys_calibration(path).names)}
+    return {"cameras": list(read_calibration(path).names)}
