@@ -14,7 +14,8 @@ the problem's code, message and hint, and with its ``status`` and other members 
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, Self, cast
@@ -192,7 +193,7 @@ class Client:
         paths: list[Path] = []
         for file in self.report_files(report_id):
             path = folder / Path(file["name"]).name
-            with self._http.stream("GET", file["url"]) as response, path.open("wb") as out:
+            with self._told(), self._http.stream("GET", file["url"]) as response, path.open("wb") as out:
                 _raise_for_problem(response)
                 for chunk in response.iter_bytes():
                     out.write(chunk)
@@ -212,8 +213,16 @@ class Client:
         return self._request(method, path, **how).json()
 
     def _request(self, method: str, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - httpx's arguments
-        try:
+        with self._told():
             response = self._http.request(method, path, **how)
+        _raise_for_problem(response)
+        return response
+
+    @contextmanager
+    def _told(self) -> Generator[None]:
+        """Tell a broken connection in gonio's words."""
+        try:
+            yield
         except httpx.ConnectError as error:
             raise ResourceError(
                 f"No service answers at {self.url}.", hint="Start it with `gonio serve`.", code="service-unreachable"
@@ -224,8 +233,6 @@ class Client:
                 hint="See whether the service still runs, then try again.",
                 code="connection-broken",
             ) from error
-        _raise_for_problem(response)
-        return response
 
 
 class _Counted:

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ def make_settings(folder: Path, **values: Any) -> Settings:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Iterator[Lab]:
     """A service with one worker, for the tests of a module that don't break anything."""
-    folder = tmp_path_factory.mktemp("lab")
+    folder = tmp_path_factory.mktemp("a lab ü ")
     with running_lab(make_settings(folder, workers=1), folder) as lab:
         yield lab
 
@@ -93,8 +93,6 @@ def lab(tmp_path_factory) -> Iterator[Lab]:
 @pytest.fixture
 def start_lab(tmp_path) -> Iterator[Callable[..., Lab]]:
     """Start services of one's own; called again with the same folder, the service is restarted."""
-    from contextlib import ExitStack
-
     with ExitStack() as stack:
 
         def start(**values: Any) -> Lab:
@@ -105,8 +103,6 @@ def start_lab(tmp_path) -> Iterator[Callable[..., Lab]]:
 
 @pytest.fixture
 def start_worker(tmp_path) -> Iterator[Callable[[Settings], subprocess.Popen[str]]]:
-    from contextlib import ExitStack
-
     with ExitStack() as stack:
         yield lambda settings: stack.enter_context(running(WORKER, settings, tmp_path / "worker.log"))
 

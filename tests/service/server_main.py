@@ -27,5 +27,10 @@ def probe(path: Path, role: str) -> dict[str, Any]:
         raise InputError(f"{path.name} is no video.", hint="Convert it to MP4.", code="video-unreadable") from error
 
 
+def say(url: str) -> None:
+    sys.stdout.write(f"{url}\n")
+    sys.stdout.flush()
+
+
 if __name__ == "__main__":
-    serve(Settings(), on_ready=lambda url: print(url, flush=True), worker_command=WORKER, probe=probe)
+    serve(Settings(), on_ready=say, worker_command=WORKER, probe=probe)

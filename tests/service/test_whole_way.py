@@ -8,6 +8,7 @@ import pytest
 from gonio.errors import Cancelled, CaptureError, GonioError
 
 
+@pytest.mark.slow
 def test_upload_analyse_wait_report(lab, capture, journal, tmp_path):
     sent: list[tuple[int, int]] = []
     session = lab.client.create_session(name="Anna", subject={"mass_kg": 61.0})["id"]

@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any
 
@@ -9,6 +10,8 @@ from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp
 
 from gonio.errors import GonioError
 from gonio.http import problems
@@ -30,18 +33,28 @@ A gait laboratory: upload the videos of a capture and their calibration, start a
   curl $G/jobs/$J
   curl $G/reports/$J
 
-Every answer that is no success is a problem document (application/problem+json) with a code, a detail and a hint.
+Every answer that is no success is a problem document (application/problem+json) with a code, a detail
+and a hint.
 """
 
 
 class Application(FastAPI):
-    """A FastAPI application whose OpenAPI document knows problem documents."""
+    """A FastAPI application in an envelope, whose OpenAPI document knows problem documents."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Put the envelope around everything: what FastAPI adds by itself answers in plain text."""
+        return Envelope(super().build_middleware_stack())
 
     def openapi(self) -> dict[str, Any]:
         """Give the OpenAPI document."""
         document = super().openapi()
         schema = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         document["components"]["schemas"].setdefault("Problem", schema)
+        for methods in document["paths"].values():
+            for operation in methods.values():
+                for status, response in operation["responses"].items():
+                    if response["description"] == "Successful Response":  # the framework's word for all of them
+                        response["description"] = HTTPStatus(int(status)).phrase
         return document
 
 
@@ -71,7 +84,8 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
         max_body_size=settings.max_json_bytes,
     )
     app.state.settings = settings
-    app.add_middleware(Envelope)
+    app.add_exception_handler(Exception, problems.of_unforeseen_error)
+    app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
     app.add_exception_handler(GonioError, problems.of_gonio_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)

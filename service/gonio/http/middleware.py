@@ -1,7 +1,7 @@
 """What holds for every answer, whoever gives it: security headers, and no error that is not a problem document."""
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gonio.http import problems
@@ -24,19 +24,16 @@ class Envelope:
         answer = _Answer(scope, receive, send)
         try:
             await self._app(scope, receive, answer.send)
-        except ClientDisconnect:
-            return  # nobody is there to hear an answer
-        except Exception as error:
-            if answer.started:
+        except Exception:
+            if not answer.ended:  # or the error was logged and answered, and is only raised again for test clients
                 raise
-            await problems.of_unforeseen_error(Request(scope), error)(scope, receive, answer.send)
 
 
 class _Answer:
     """One answer on its way out."""
 
     def __init__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self.started = False
+        self.ended = False
         self._replaced = False
         self._scope = scope
         self._receive = receive
@@ -46,7 +43,6 @@ class _Answer:
         if self._replaced:
             return
         if message["type"] == "http.response.start":
-            self.started = True
             headers = MutableHeaders(scope=message)
             headers.setdefault("x-content-type-options", "nosniff")
             headers.setdefault("referrer-policy", "no-referrer")
@@ -57,6 +53,7 @@ class _Answer:
                 await self._replace(message["status"], Headers(scope=message))
                 return
         await self._send(message)
+        self.ended = message["type"] == "http.response.body" and not message.get("more_body", False)
 
     async def _replace(self, status: int, headers: Headers) -> None:
         """Say in a problem document what the framework says in plain text."""

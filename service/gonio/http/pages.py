@@ -1,13 +1,26 @@
 """The pages for people, rendered here from small templates; they carry their style in themselves and run nothing."""
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 _ENVIRONMENT = Environment(
     loader=PackageLoader("gonio.http"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
+
+
+def _marked(text: str) -> Markup:
+    """Show the little Markdown that the API's descriptions have: `code`, and lists of `* ` lines."""
+    lines = [
+        re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(line.removeprefix("* ")))) for line in text.splitlines()
+    ]
+    return Markup("<br>").join(Markup(line) for line in lines)  # noqa: S704 - each line was escaped
+
+
+_ENVIRONMENT.filters["marked"] = _marked
 
 
 def render(template: str, **values: object) -> str:

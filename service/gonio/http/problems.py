@@ -95,7 +95,7 @@ def fails(*codes: str) -> dict[int | str, dict[str, Any]]:
     for code in (*codes, "invalid-request", "internal-error"):
         kind = KINDS[code]
         entry = responses.setdefault(kind.status, {"description": "", "content": {MEDIA_TYPE: {"schema": _SCHEMA}}})
-        entry["description"] += f"{' ' if entry['description'] else ''}`{code}`: {kind.meaning}"
+        entry["description"] += f"* `{code}`: {kind.meaning}\n"
     return responses
 
 
@@ -155,6 +155,11 @@ def of_invalid_request(request: Request, error: Exception) -> JSONResponse:
     detail = "; ".join(f"{item['where']}: {item['message']}" for item in errors[:3])
     hint = "See the page of this address in /docs."
     return problem(request, "invalid-request", detail, hint=hint, members={"errors": errors})
+
+
+def of_disconnect(request: Request, error: Exception) -> JSONResponse:
+    """Answer a sender who went away, for the log of a proxy in between."""
+    return problem(request, "upload-truncated", KINDS["upload-truncated"].meaning, hint="Send it again.")
 
 
 def of_unforeseen_error(request: Request, error: Exception) -> JSONResponse:

@@ -46,7 +46,9 @@ class SessionIn(_In):
 
     kind: Literal["human_multicamera"] = Field(description="A person filmed by several synchronized cameras.")
     name: str = Field(default="", max_length=200, pattern=PRINTABLE, description="For people; need not be unique.")
-    subject: Subject = Field(default=Subject())
+    subject: Subject = Field(
+        default=Subject(), description="The person: mass_kg, stature_m, sex; each may be left out."
+    )
 
 
 class SessionOut(BaseModel):

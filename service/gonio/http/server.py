@@ -1,9 +1,12 @@
 """Run the service: the API in this process, the workers in processes of their own."""
 
+import logging
+import signal
 import socket
 import threading
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
 
 import uvicorn
 
@@ -13,6 +16,8 @@ from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
 from gonio.jobs.supervisor import WORKER_COMMAND, Supervisor
 from gonio.settings import Settings
+
+log = logging.getLogger(__name__)
 
 GRACE_S = 3
 """How long requests may go on when the service stops; an upload that is cut then leaves nothing."""
@@ -30,7 +35,11 @@ def serve(
     Raises:
         ResourceError: ``port-taken``.
     """
-    with _listening(settings) as listener:
+    # Uvicorn ends its work, then raises the signal again, which would end this process before its workers are stopped.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with suppress(KeyboardInterrupt), _listening(settings) as listener:
+        if not ip_address(listener.getsockname()[0]).is_loopback:
+            log.warning("The service listens beyond this machine: whoever reaches it can read and delete everything.")
         upgrade(settings)
         with Supervisor(settings, worker_command):
             _Server(settings, probe, lambda: on_ready and on_ready(_url(listener))).run(sockets=[listener])
@@ -72,9 +81,15 @@ class _Server(uvicorn.Server):
 @contextmanager
 def _listening(settings: Settings) -> Generator[socket.socket]:
     """Take the port before anything else is started."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    # The protocol is named, or asyncio would not see that it is TCP and leave Nagle's delay of 40 ms on each answer.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener = socket.create_server((settings.host, settings.port), backlog=2048)
+        listener.bind((settings.host, settings.port))
+        listener.listen(2048)
     except OSError as error:
+        listener.close()
         raise ResourceError(
             f"{settings.host}:{settings.port} can't be listened on: {error.strerror}.",
             hint="Another service may run there. Choose another port with GONIO_PORT.",

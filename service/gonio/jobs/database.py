@@ -1,5 +1,6 @@
 """The database: one for gonio's own tables and for DBOS's, so that a job and its queue entry are one transaction."""
 
+import logging
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib.resources import as_file, files
@@ -55,6 +56,8 @@ class Database:
 
 def upgrade(settings: Settings) -> None:
     """Bring the database to this version's tables; safe to call from several processes at once."""
+    for library in ("dbos", "alembic"):  # they tell each of a hundred migrations
+        logging.getLogger(library).setLevel(logging.WARNING)
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     database = Database(settings.resolved_database_url)
     try:

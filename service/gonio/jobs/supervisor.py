@@ -13,7 +13,7 @@ from gonio.settings import Settings
 log = logging.getLogger(__name__)
 
 WORKER_COMMAND = (sys.executable, "-m", "gonio.jobs.worker")
-FIRST_PAUSE_S, LAST_PAUSE_S = 0.2, 30.0
+FIRST_PAUSE_S, LAST_PAUSE_S = 0.1, 30.0
 STABLE_S = 60.0
 """A worker that lived this long had no trouble starting: the pause before its restart is the first one again."""
 GRACE_S = 5.0
@@ -51,7 +51,8 @@ class Supervisor:
         pause_s = FIRST_PAUSE_S
         while not self._stop.is_set():
             begin_s = time.monotonic()
-            process = subprocess.Popen(self._command, env=self._environment)  # noqa: S603 - the command is our own
+            # In a process group of its own: Ctrl-C is for the supervisor, which then stops its workers.
+            process = subprocess.Popen(self._command, env=self._environment, process_group=0)  # noqa: S603 - our own
             log.info("Worker %d runs as process %d", number, process.pid)
             while process.poll() is None and not self._stop.wait(0.1):
                 pass

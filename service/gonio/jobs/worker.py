@@ -60,15 +60,19 @@ def run_worker(
     upgrade(settings)
     worker = Worker(settings, analyse, shares)
     with worker.alive():
-        worker.start()
-        while not stop.wait(SWEEP_S):
-            worker.take_over()
+        status = 1
+        try:
+            worker.start()
+            while not stop.wait(SWEEP_S):
+                worker.take_over()
+            status = 0
+        except Exception:
+            log.exception("Worker %s ends", worker.name)
         worker.clean_up()
-        # A stage can run on for minutes and nothing of it is lost when it is cut: neither wait for it nor let the
-        # interpreter wait for its thread.
+        # A stage can run on for minutes, and all that is lost when it is cut is the stage: don't let the interpreter
+        # wait for its thread, and hold the lock until that thread is gone.
         logging.shutdown()
-        sys.stderr.flush()
-        os._exit(0)
+        os._exit(status)
 
 
 class Worker:
@@ -187,6 +191,7 @@ def _crash_problem(count: int) -> Problem:
 
 def main() -> None:
     """Run a worker with the settings of the environment and the river of this version."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     # In here, since importing the river takes seconds that nobody else needs to wait for.
     from gonio.pipeline import analyse  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 

@@ -1,24 +1,62 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
+from gonio.records.body import (
+    FIXED,
+    GROUND,
+    NOT_CONVERGED,
+    PARTIAL,
+    PRISMATIC,
+    REVOLUTE,
+    SOLVED,
+    TOO_FEW_MARKERS,
+    Bodies,
+    BodyModel,
+    Coordinates,
+    Functions,
+    JointTree,
+    Markers,
+    Motion,
+    Tasks,
+)
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
 
 __all__ = [
     "FILLED",
+    "FIXED",
+    "GROUND",
     "MEASURED",
     "MISSING",
+    "NOT_CONVERGED",
+    "PARTIAL",
+    "PRISMATIC",
     "REJECTED",
+    "REVOLUTE",
+    "SOLVED",
+    "TOO_FEW_MARKERS",
+    "Bodies",
+    "BodyModel",
     "Camera",
     "Capture",
+    "CoordinatePrior",
+    "Coordinates",
     "Finding",
+    "Functions",
     "ImagePoints",
+    "JointTree",
     "LabPoints",
+    "MarkerSet",
+    "Markers",
+    "Measurement",
+    "Motion",
     "Rig",
     "Severity",
+    "Tasks",
     "Timebase",
     "View",
     "record",

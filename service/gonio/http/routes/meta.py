@@ -1,5 +1,6 @@
 """About the service itself: health, the problems it can answer with, and pages for people."""
 
+import logging
 from importlib.metadata import version
 from typing import Any
 
@@ -12,6 +13,8 @@ from gonio.http import pages
 from gonio.http.dependencies import CurrentLab, TheService
 from gonio.http.problems import KINDS, fails
 from gonio.http.schemas import Health, JobOut
+
+log = logging.getLogger(__name__)
 
 router = APIRouter(tags=["service"])
 
@@ -31,6 +34,7 @@ def is_ready(service: TheService) -> Health:
     try:
         service.check()
     except Exception as error:
+        log.warning("Not ready: %s", error)
         raise ResourceError("The service can't work at the moment.", hint="See its log.", code="not-ready") from error
     return Health(status="ready", version=version("gonio"))
 
