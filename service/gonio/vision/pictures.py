@@ -39,8 +39,8 @@ def draw_skeleton(
         if np.isfinite([place[start], place[end]]).all():
             sides = {side for side in SIDE_COLOURS_RGB if start.startswith(side) and end.startswith(side)}
             colour = SIDE_COLOURS_RGB[sides.pop()] if sides else MIDDLE_COLOUR_RGB
-            ends = [tuple(round(16 * float(v)) for v in place[name]) for name in (start, end)]
+            a, b = ((round(16 * float(u)), round(16 * float(v))) for u, v in (place[start], place[end]))
             # White below the colour: seen on any background. Sixteenths of a pixel keep thin limbs smooth.
-            cv2.line(picture, *ends, (255, 255, 255), thickness + 2, cv2.LINE_AA, shift=4)
-            cv2.line(picture, *ends, colour, thickness, cv2.LINE_AA, shift=4)
+            cv2.line(picture, a, b, (255, 255, 255), thickness + 2, cv2.LINE_AA, shift=4)
+            cv2.line(picture, a, b, colour, thickness, cv2.LINE_AA, shift=4)
     return picture
