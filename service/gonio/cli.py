@@ -117,10 +117,10 @@ def demo(
 def list_models() -> None:
     """List the keypoint models and whether their weights are here."""
     from gonio.settings import Settings
-    from gonio.vision.model_cards import read_cards
+    from gonio.vision.model_cards import list_cards, load_card
     from gonio.vision.weights import cached_weights
 
-    for card in read_cards():
+    for card in map(load_card, list_cards()):
         state = "here" if cached_weights(card, Settings().cache_dir) else "not fetched"
         print(f"{card.name:20} {state:12} {card.licence:12} {card.credit}")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from gonio.demo.recording import WHEEL_SHA256
 from gonio.settings import GIGABYTE, Settings
-from gonio.vision.model_cards import read_cards
+from gonio.vision.model_cards import list_cards, load_card
 from gonio.vision.weights import cached_weights
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless", "fastapi", "dbos")
@@ -75,7 +75,7 @@ def _disk(settings: Settings) -> Examined:
 
 def _weights(settings: Settings) -> list[Examined]:
     found: list[Examined] = []
-    for card in read_cards():
+    for card in map(load_card, list_cards()):
         path = cached_weights(card, settings.cache_dir)
         found.append(
             Examined(
