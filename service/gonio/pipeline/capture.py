@@ -15,7 +15,7 @@ from gonio.vision.video import VideoInfo, probe_video
 EDGE_PX = 16
 """Codecs pad a picture to blocks of 16 pixels: a video and its calibration may differ by that much at the lower right."""
 
-RATE_TOLERANCE = 1e-3
+RATE_TOLERANCE = 2e-3
 """Two rates are the same if they differ by less: 60 and 59.94 Hz are the same camera mode written differently."""
 
 

@@ -182,6 +182,6 @@ def finding(code: str, *, where: str = "", value: float | None = None, severity:
         message=kind.message.format(where=where, value=value if value is not None else float("nan")),
         hint=kind.hint,
         where=where,
-        value=value,
+        value=None if value is None else float(value),
         unit=kind.unit,
     )

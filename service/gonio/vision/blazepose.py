@@ -75,7 +75,7 @@ class PersonLandmarks:
     """
 
     uv_px: Float[np.ndarray, "keypoint 2"]
-    visibility: Float[np.ndarray, "keypoint"]
+    visibility: Float[np.ndarray, " keypoint"]
     presence: float
     region: Region
     next_region: Region
@@ -165,9 +165,9 @@ def anchors_px(size_px: int, strides_px: Sequence[int]) -> Float[np.ndarray, "an
 
 def decode_detections(
     boxes: Float32[np.ndarray, "anchor values"],
-    logits: Float32[np.ndarray, "anchor"],
+    logits: Float32[np.ndarray, " anchor"],
     anchors: Float[np.ndarray, "anchor 2"],
-) -> tuple[Float[np.ndarray, "anchor"], Float[np.ndarray, "anchor point 2"]]:
+) -> tuple[Float[np.ndarray, " anchor"], Float[np.ndarray, "anchor point 2"]]:
     """Turn the detector's raw output into scores and points in crop pixels.
 
     Returns:
@@ -183,7 +183,7 @@ def decode_detections(
 
 
 def merge_detections(
-    scores: Float[np.ndarray, "anchor"], points: Float[np.ndarray, "anchor point 2"], settings: Detection
+    scores: Float[np.ndarray, " anchor"], points: Float[np.ndarray, "anchor point 2"], settings: Detection
 ) -> list[tuple[float, Float[np.ndarray, "point 2"]]]:
     """Merge the boxes that overlap the surest one into their mean, weighted by score; go on with the rest.
 
@@ -249,7 +249,7 @@ def _transform(T: Float[np.ndarray, "3 3"], xy: Float[np.ndarray, "point 2"]) ->
 
 def _intersection_over_union(
     boxes: Float[np.ndarray, "box 2 2"], box: Float[np.ndarray, "2 2"]
-) -> Float[np.ndarray, "box"]:
+) -> Float[np.ndarray, " box"]:
     """Compare boxes, given by their top-left and bottom-right corners, with one box; no area at all gives 0."""
     sides = np.minimum(boxes[:, 1], box[1]) - np.maximum(boxes[:, 0], box[0])
     common = np.prod(np.maximum(sides, 0.0), axis=1)

@@ -1,10 +1,8 @@
 """Videos made on the spot, networks small enough to read, and the real weights where they have been fetched."""
 
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import flatbuffers
 import numpy as np
 import pytest
@@ -12,52 +10,6 @@ import tflite
 
 from gonio.vision.model_cards import load_card
 from gonio.vision.weights import cached_weights
-
-RED, GREEN, BLUE, WHITE = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
-
-
-def quadrants(width: int, height: int) -> np.ndarray:
-    """A picture that shows which way up it is: red, green / blue, white."""
-    picture = np.empty((height, width, 3), np.uint8)
-    picture[: height // 2, : width // 2], picture[: height // 2, width // 2 :] = RED, GREEN
-    picture[height // 2 :, : width // 2], picture[height // 2 :, width // 2 :] = BLUE, WHITE
-    return picture
-
-
-@pytest.fixture
-def make_video(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a video of the quadrants (H.264 in MP4, 12 frames, 30 Hz) and gives its path."""
-
-    def make(
-        name: str = "video.mp4",
-        *,
-        frames: int = 12,
-        size_px: tuple[int, int] = (64, 48),
-        codec: str = "libx264",
-        pix_fmt: str = "yuv420p",
-        counter_clockwise_deg: int = 0,
-        times_ms: Sequence[int] | None = None,
-        options: dict[str, str] | None = None,
-    ) -> Path:
-        path = tmp_path / name
-        with av.open(path, "w", options=options or {}) as container:
-            stream = container.add_stream(codec, rate=30)
-            stream.width, stream.height = size_px
-            stream.pix_fmt = pix_fmt
-            stream.thread_count = 1
-            stream.codec_context.time_base = Fraction(1, 3000)
-            if counter_clockwise_deg:
-                stream.set_display_rotation(counter_clockwise_deg)
-            container.start_encoding()  # writes a header even if no frame follows
-            for index in range(frames):
-                frame = av.VideoFrame.from_ndarray(quadrants(*size_px), "rgb24")
-                frame.time_base = Fraction(1, 3000)
-                frame.pts = 3 * times_ms[index] if times_ms else 100 * index
-                container.mux(stream.encode(frame))
-            container.mux(stream.encode())
-        return path
-
-    return make
 
 
 @pytest.fixture(scope="session")

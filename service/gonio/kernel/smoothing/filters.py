@@ -15,7 +15,7 @@ def median_window(rate_hz: float) -> int:
     return max(3, 2 * round((MEDIAN_WINDOW_S * rate_hz - 1) / 2) + 1)
 
 
-def median_filter(values: Float[np.ndarray, "frame *rest"], window: int) -> Float[np.ndarray, "frame *rest"]:
+def median_filter(values: Float[np.ndarray, " frame *rest"], window: int) -> Float[np.ndarray, " frame *rest"]:
     """Replace each value by the median of the known values in a centred window of ``window`` frames (odd).
 
     At the ends the window is cut to stay symmetric, so that a trend is not bent. NaN stays NaN, and is not counted in its
@@ -38,8 +38,8 @@ def median_filter(values: Float[np.ndarray, "frame *rest"], window: int) -> Floa
 
 
 def low_pass(
-    values: Float[np.ndarray, "frame *rest"], rate_hz: float, cutoff_hz: float
-) -> Float[np.ndarray, "frame *rest"]:
+    values: Float[np.ndarray, " frame *rest"], rate_hz: float, cutoff_hz: float
+) -> Float[np.ndarray, " frame *rest"]:
     """Filter forward and backward with a 2nd-order Butterworth low-pass: 4th order, no lag.
 
     The cutoff is corrected for the double pass, so that the result is 3 dB down at ``cutoff_hz`` [Winter 2009, §2.2.4.4].
