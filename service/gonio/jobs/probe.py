@@ -1,8 +1,9 @@
 """A look into a file before it is accepted: what can't be read is refused while its sender is still there."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from gonio.pipeline.run import Role
 
@@ -17,9 +18,9 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
     """Look into a file with gonio's own readers."""
     # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
     if role == "video":
-        from gonio.vision.video import probe_video  # pyright: ignore[reportMissingImports]
+        from gonio.vision.video import probe_video
 
-        return cast("dict[str, Any]", probe_video(path))
-    from gonio.formats.qualisys import read_qualisys_calibration
+        return asdict(probe_video(path))
+    from gonio.formats.calibration import read_calibration
 
-    return {"cameras": list(read_qualisys_calibration(path).names)}
+    return {"cameras": list(read_calibration(path).names)}

@@ -193,7 +193,7 @@ def main() -> None:
     """Run a worker with the settings of the environment and the river of this version."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     # In here, since importing the river takes seconds that nobody else needs to wait for.
-    from gonio.pipeline import analyse  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+    from gonio.pipeline import analyse
 
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
     run_worker(Settings(), analyse, supervisor_pid=int(supervisor) if supervisor else None)

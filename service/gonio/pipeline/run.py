@@ -20,10 +20,11 @@ Role = Literal["video", "calibration"]
 
 STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
-        "capture": 0.01,
         "calibration": 0.01,
-        "keypoints": 0.86,
+        "capture": 0.01,
+        "keypoints": 0.85,
         "synchronization": 0.01,
+        "cameras": 0.01,
         "triangulation": 0.03,
         "smoothing": 0.01,
         "scaling": 0.01,
