@@ -136,7 +136,7 @@ def test_what_is_no_video_or_no_calibration_is_refused_with_its_name(lab, sessio
 
 def test_a_video_that_was_cut_is_refused(lab, session, capture, tmp_path):
     content = (capture / "cam01.mp4").read_bytes()
-    (tmp_path / "cam08.mp4").write_bytes(content[: len(content) // 4])
+    (tmp_path / "cam08.mp4").write_bytes(content[:200])
     with pytest.raises(InputError) as caught:
         lab.client.upload(session, tmp_path / "cam08.mp4")
     assert (caught.value.code, caught.value.details["status"]) == ("video-truncated", 422)

@@ -18,7 +18,7 @@ def test_upload_analyse_wait_report(lab, capture, journal, tmp_path):
     assert sent[-1][0] == sent[-1][1]
     by_name = {file["name"]: file for file in lab.client.files(session)}
     facts = by_name["cam01.mp4"]["facts"]
-    assert (facts["frame_count"], facts["rate_hz"], facts["image_size_px"]) == (8, 30.0, [64, 48])
+    assert (facts["frames"], facts["rate_hz"], facts["width_px"]) == (8, 30.0, 64)
     assert by_name["calibration.xml"]["facts"] == {"cameras": ["cam01", "cam02"]}
     assert by_name["calibration.xml"]["role"] == "calibration"
 

@@ -1,7 +1,6 @@
 """A look into a file before it is accepted: what can't be read is refused while its sender is still there."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,15 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
     if role == "video":
         from gonio.vision.video import probe_video
 
-        return asdict(probe_video(path))
+        info = probe_video(path)
+        return {
+            "codec": info.codec,
+            "width_px": info.image_size_px[0],
+            "height_px": info.image_size_px[1],
+            "rate_hz": info.rate_hz,
+            "frames": info.frame_count,
+            "duration_s": info.duration_s,
+        }
     from gonio.formats.calibration import read_calibration
 
     return {"cameras": list(read_calibration(path).names)}

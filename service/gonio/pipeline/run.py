@@ -22,8 +22,7 @@ STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
         "calibration": 0.01,
         "capture": 0.01,
-        "keypoints": 0.85,
-        "synchronization": 0.01,
+        "keypoints": 0.86,
         "cameras": 0.01,
         "triangulation": 0.03,
         "smoothing": 0.01,
