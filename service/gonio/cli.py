@@ -60,8 +60,8 @@ def serve(
     from gonio.http.server import serve as run
     from gonio.settings import Settings
 
-    chosen = {"host": host, "port": port, "workers": workers, "data_dir": data_dir}
-    settings = Settings(**{name: value for name, value in chosen.items() if value is not None})
+    given = {"host": host, "port": port, "workers": workers, "data_dir": data_dir}
+    settings = Settings().model_copy(update={name: value for name, value in given.items() if value is not None})
     run(settings, on_ready=lambda url: console.print(f"gonio listens on {url} (API reference: {url}/docs)"))
 
 
@@ -82,7 +82,10 @@ def analyse(
     parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
 ) -> None:
     """Analyse a folder of recordings without a server."""
-    from gonio.pipeline import LocalRunner, analyse, find_capture_files, key_lines, load_report
+    from gonio.pipeline import analyse
+    from gonio.pipeline.folder import find_capture_files
+    from gonio.pipeline.report import key_lines, load_report
+    from gonio.pipeline.run import LocalRunner
 
     wanted = json.loads(parameters.read_text()) if parameters else {}
     files = find_capture_files(folder)

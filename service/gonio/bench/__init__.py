@@ -1,8 +1,9 @@
 """Benches: accuracy and speed against the rivals, measured in the same run on the same machine.
 
-A bench is a module of this package with ``run(build_dir) -> Bench``. Rivals live in environments of their own under
-``build/peers/``. What a bench can't measure, because a rival or a recording is out of reach, it leaves out and says so.
-An accuracy metric carries the worst value that is still acceptable; going beyond it fails ``make bench``.
+A bench is a module of this package with ``run(build_dir)``, which gives the content of its JSON file. Rivals live in
+environments of their own under ``build/peers/``. What a bench can't measure, because a rival or a recording is out of
+reach, it leaves out and says so. An accuracy metric carries the worst value that is still acceptable; going beyond it
+fails ``make bench``.
 """
 
 import importlib
@@ -92,16 +93,17 @@ def run_benches(name: str, build_dir: Path, console: Console) -> None:
     worse: list[str] = []
     for each in (name,) if name else list_benches():
         console.print(f"[bold]{each}[/]")
-        bench: Bench = importlib.import_module(f"gonio.bench.{each}").run(build_dir)
+        result: dict[str, Any] = importlib.import_module(f"gonio.bench.{each}").run(build_dir)
         path = build_dir / "bench" / f"{each}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(bench.to_json(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        for metric in bench.metrics:
+        path.write_text(json.dumps(result, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        metrics = [Metric(**metric) for metric in result["metrics"]]
+        for metric in metrics:
             mark = "  [red]worse than its baseline[/]" if metric.is_worse else ""
             console.print(f"  {metric.name:32} {metric.value:10.4g} {metric.unit}{mark}")
-        for note in bench.notes:
+        for note in result.get("notes", ()):
             console.print(f"  [yellow]{note}[/]", soft_wrap=True)
-        worse += [f"{each}: {metric.name}" for metric in bench.metrics if metric.is_worse]
+        worse += [f"{each}: {metric.name}" for metric in metrics if metric.is_worse]
     if worse:
         raise GonioError(
             f"{len(worse)} metrics got worse: {', '.join(worse)}.",

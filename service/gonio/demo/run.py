@@ -84,5 +84,10 @@ def analyse(gonio: Client, session_id: str, console: Console) -> Document:
 
 def progress_bar(console: Console) -> Progress:
     """Make a bar with the stage, the share that is done, the time so far and the time that remains."""
-    columns = TextColumn("  {task.description:14}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn()
+    columns = (
+        TextColumn("  {task.description:14}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, TextColumn("{task.fields[remaining]}"), console=console)

@@ -8,7 +8,7 @@ in the order right, up, backward; the translation is the optical centre.
 from pathlib import Path
 
 import numpy as np
-from lxml import etree
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] - no types
 
 from gonio.errors import InputError
 from gonio.records import Camera, Rig

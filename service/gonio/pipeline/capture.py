@@ -68,7 +68,7 @@ def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:
             used.append(by_camera[camera.name])
             findings += size_findings
             if info.is_variable_rate:
-                findings.append(finding("rate-varies", where=camera.name, value=1e3 * info.largest_time_error_s))
+                findings.append(finding("rate-varies", where=camera.name, value=1e3 * info.largest_deviation_s))
     timebase, frame_count, steps, time_findings = common_time(tuple(c.name for c in cameras), infos)
     views = tuple(
         View(
@@ -131,7 +131,7 @@ def fit_camera_to_video(camera: Camera, info: VideoInfo) -> tuple[Camera, tuple[
     scale = filmed / calibrated
     if abs(scale[0] / scale[1] - 1) > 0.01:
         raise InputError(
-            f"{info.name} has {filmed[0]} × {filmed[1]} pixels, but camera {camera.name} was calibrated with "
+            f"{info.file_name} has {filmed[0]} × {filmed[1]} pixels, but camera {camera.name} was calibrated with "
             f"{calibrated[0]} × {calibrated[1]}.",
             hint="Is it the video of another camera, or turned by 90°? Calibrate with the mode that you record with.",
             code="video-size-wrong",
@@ -158,7 +158,7 @@ def common_time(
     ratio = rates / slowest
     steps = np.rint(ratio).astype(int)
     if np.any(np.abs(ratio / steps - 1) > RATE_TOLERANCE):
-        listed = ", ".join(f"{info.name} {info.rate_hz:.3f} Hz" for info in infos)
+        listed = ", ".join(f"{info.file_name} {info.rate_hz:.3f} Hz" for info in infos)
         raise InputError(
             f"The videos have rates that are no multiples of each other: {listed}.",
             hint="Record all cameras at the same rate.",

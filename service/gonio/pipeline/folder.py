@@ -17,7 +17,9 @@ def find_capture_files(folder: Path) -> list[CaptureFile]:
     """
     if not folder.is_dir():
         raise InputError(
-            f"{folder} is no folder.", hint="Give the folder that holds the videos and the calibration.", code="folder-missing"
+            f"{folder} is no folder.",
+            hint="Give the folder that holds the videos and the calibration.",
+            code="folder-missing",
         )
     found: list[CaptureFile] = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):

@@ -37,7 +37,7 @@ class Keypoints:
     @property
     def seen(self) -> Bool[np.ndarray, "camera frame"]:
         """Where a camera saw the subject."""
-        return np.isfinite(self.points.uv_px[..., 0]).any(axis=-1)
+        return np.asarray(np.isfinite(self.points.uv_px[..., 0]).any(axis=-1))
 
 
 def find_keypoints(capture: Capture, model: str, output_dir: Path, progress: Progress) -> Outcome[Keypoints]:

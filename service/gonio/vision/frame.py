@@ -97,7 +97,7 @@ class Frame:
             border: What lies outside the picture: its last pixel, or black.
         """
         T_luma_crop = self.T_coded_frame @ T_frame_crop
-        # Chroma sample j lies at luma pixel 2j across and halfway between 2j and 2j + 1 down (H.273's default, "left").
+        # Chroma sample j lies at luma pixel 2j across and halfway between 2j and 2j + 1 down (H.264's default).
         T_chroma_luma = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
         T_chroma_crop = T_chroma_luma @ T_luma_crop
         mode = cv2.BORDER_REPLICATE if border == "replicate" else cv2.BORDER_CONSTANT

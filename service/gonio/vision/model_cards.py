@@ -119,9 +119,9 @@ class ModelCard:
             )
 
 
-def read_cards() -> tuple[ModelCard, ...]:
-    """Read all cards that gonio ships, sorted by name."""
-    return tuple(read_card(path) for path in sorted(_folder().glob("*.toml")))
+def list_cards() -> tuple[str, ...]:
+    """List the names of the cards that gonio ships, sorted."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
 
 
 def load_card(name: str) -> ModelCard:
@@ -130,11 +130,10 @@ def load_card(name: str) -> ModelCard:
     Raises:
         InputError: There is no such card (``model-unknown``).
     """
-    names = sorted(path.stem for path in _folder().glob("*.toml"))
-    if name not in names:
+    if name not in list_cards():
         raise InputError(
             f"There is no keypoint model called {name!r}.",
-            hint=f"Choose one of: {', '.join(names)}.",
+            hint=f"Choose one of: {', '.join(list_cards())}.",
             code="model-unknown",
         )
     return read_card(_folder() / f"{name}.toml")

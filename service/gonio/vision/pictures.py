@@ -39,8 +39,10 @@ def draw_skeleton(
         if np.isfinite([place[start], place[end]]).all():
             sides = {side for side in SIDE_COLOURS_RGB if start.startswith(side) and end.startswith(side)}
             colour = SIDE_COLOURS_RGB[sides.pop()] if sides else MIDDLE_COLOUR_RGB
-            ends = [tuple(round(16 * float(v)) for v in place[name]) for name in (start, end)]
+            first, last = (
+                (round(16 * float(place[name][0])), round(16 * float(place[name][1]))) for name in (start, end)
+            )
             # White below the colour: seen on any background. Sixteenths of a pixel keep thin limbs smooth.
-            cv2.line(picture, *ends, (255, 255, 255), thickness + 2, cv2.LINE_AA, shift=4)
-            cv2.line(picture, *ends, colour, thickness, cv2.LINE_AA, shift=4)
+            cv2.line(picture, first, last, (255, 255, 255), thickness + 2, cv2.LINE_AA, shift=4)
+            cv2.line(picture, first, last, colour, thickness, cv2.LINE_AA, shift=4)
     return picture

@@ -117,11 +117,12 @@ def _open(path: Path) -> Generator[tuple[InputContainer, VideoStream]]:
     except av.error.FFmpegError as error:
         raise _unreadable(path) from error
     with container:
-        streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+        covers = [s for s in container.streams.video if s.disposition & Disposition.attached_pic]
+        streams = [s for s in container.streams.video if s not in covers]
         if not container.streams:  # FFmpeg drops an MP4's stream that has no frame
             raise _empty(path, "no frame")
         if not streams:
-            kinds = sorted({stream.type for stream in container.streams})
+            kinds = sorted({"cover" if stream in covers else stream.type for stream in container.streams})
             raise InputError(
                 f"{path.name} has no video stream, only {', '.join(kinds)}.",
                 hint="Upload the file that the camera recorded, not its sound.",

@@ -2,6 +2,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -31,10 +32,10 @@ def test_the_result_says_what_it_was_measured_on() -> None:
 
 
 def test_run_write_and_fail_when_worse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def measure(build_dir: Path) -> Bench:
+    def measure(build_dir: Path) -> dict[str, Any]:
         bench = Bench("keypoints")
         bench.add("mediapipe_median_px", 9.0, "px", at_most=2.0)
-        return bench
+        return bench.to_json()
 
     monkeypatch.setattr(keypoints, "run", measure)
     with pytest.raises(GonioError, match="keypoints: mediapipe_median_px") as caught:

@@ -4,16 +4,16 @@ import pytest
 
 from gonio.errors import InputError
 from gonio.resources import models_dir
-from gonio.vision.model_cards import load_card, read_card, read_cards
+from gonio.vision.model_cards import list_cards, load_card, read_card
 
 FULL = models_dir() / "keypoints" / "blazepose_full.toml"
 
 
 def test_the_shipped_cards() -> None:
-    cards = {card.name: card for card in read_cards()}
-    assert sorted(cards) == ["blazepose_detector", "blazepose_full", "blazepose_heavy"]
+    assert list_cards() == ("blazepose_detector", "blazepose_full", "blazepose_heavy")
+    cards = {name: load_card(name) for name in list_cards()}
     for name, card in cards.items():
-        assert read_card(models_dir() / "keypoints" / f"{name}.toml").name == name
+        assert card.name == name
         assert card.licence == "Apache-2.0"
         assert all(len(bytes.fromhex(source.sha256)) == 32 for source in card.sources)
     assert "@mediapipe/pose" in cards["blazepose_heavy"].source

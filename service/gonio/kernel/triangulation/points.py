@@ -15,7 +15,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from gonio.kernel.triangulation.solve import BEHIND_CAMERA, TOO_FEW_CAMERAS, solve_all
+from gonio.kernel.parallel import over_blocks
+from gonio.kernel.triangulation.solve import BEHIND_CAMERA, TOO_FEW_CAMERAS, solve_points
 from gonio.records import record
 
 Method = Literal["linear", "reprojection", "robust"]
@@ -26,6 +27,9 @@ CAUCHY_SCALE_M = 0.03
 About twice the scatter of a good keypoint detector on a person (5 px at 4 m and f = 1680 px are 12 mm, per axis), so that
 clean observations keep nearly full weight and a limb that was swapped (> 100 mm) nearly none.
 """
+
+BLOCK_POINTS = 4096
+"""Points that one thread takes at a time: some 20 ms of work, long against what handing it over costs."""
 
 
 @record
@@ -68,21 +72,26 @@ def triangulate(
     """
     weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
     seen = np.where(weight[..., None] > 0, uv_px, 0.0)
-    xyz, hessian, residual, status = solve_all(
-        np.ascontiguousarray(projections),
-        np.ascontiguousarray(focal_px),
-        np.ascontiguousarray(seen.transpose(1, 0, 2)),
-        np.ascontiguousarray(weight.T),
-        method == "robust",
-        method != "linear",
-        scale_m if method == "robust" else np.inf,
-    )
+    points, cameras = uv_px.shape[1], uv_px.shape[0]
+    xyz, hessian = np.empty((points, 3)), np.zeros((points, 3, 3))
+    residual, status = np.zeros((points, cameras, 2)), np.empty(points, dtype=np.uint8)
+    projections, focal_px = projections.astype(float, order="C"), focal_px.astype(float, order="C")
+    by_point, weights = np.ascontiguousarray(seen.transpose(1, 0, 2)), np.ascontiguousarray(weight.T)
+    robust = method == "robust"
+
+    def solve(start: int, stop: int) -> None:
+        solve_points(
+            projections, focal_px, by_point, weights, robust, method != "linear", scale_m if robust else np.inf,
+            start, stop, xyz, hessian, residual, status,
+        )  # fmt: skip
+
+    over_blocks(solve, points, BLOCK_POINTS)
     residual_px = np.where(weight[..., None] > 0, residual.transpose(1, 0, 2), np.nan)
     unsolved = (status == TOO_FEW_CAMERAS) | (status == BEHIND_CAMERA)
     xyz[unsolved] = np.nan
     residual_px[:, unsolved] = np.nan
     camera_weight = np.ones_like(weight)
-    if method == "robust":
+    if robust:
         scale_px = focal_px[:, None] * scale_m / _depths_m(projections, xyz)
         camera_weight = 1.0 / (1.0 + (residual_px**2).sum(axis=-1) / scale_px**2)
     return Triangulated(

@@ -6,7 +6,7 @@ runs it over all frames and keypoints. Image points are undistorted pixels; ``pr
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -258,31 +258,40 @@ def best_pair(projections: Array, focal_px: Array, uv_px: Array, weight: Array, 
     return best, np.isfinite(best_cost)
 
 
-@njit(cache=True, parallel=True)
-def solve_all(
-    projections: Array, focal_px: Array, uv_px: Array, weight: Array, from_pairs: bool, refine: bool, scale_m: float
-) -> tuple[Array, Array, Array, npt.NDArray[np.uint8]]:
-    """Solve a batch: ``uv_px`` (point, camera, 2), ``weight`` (point, camera); gives points, Hessians, residuals, statuses."""
-    points, cameras = weight.shape
-    xyz = np.full((points, 3), np.nan)
-    hessian = np.zeros((points, 3, 3))
-    residual_px = np.zeros((points, cameras, 2))
-    status = np.full(points, np.uint8(TOO_FEW_CAMERAS))
-    for i in prange(points):
+@njit(cache=True, nogil=True)
+def solve_points(  # noqa: PLR0913 - what it fills is passed in
+    projections: Array,
+    focal_px: Array,
+    uv_px: Array,
+    weight: Array,
+    from_pairs: bool,
+    refine: bool,
+    scale_m: float,
+    start: int,
+    stop: int,
+    xyz: Array,
+    hessian: Array,
+    residual_px: Array,
+    status: npt.NDArray[np.uint8],
+) -> None:
+    """Solve the points from ``start`` to ``stop``: ``uv_px`` (point, camera, 2), ``weight`` (point, camera)."""
+    depth_m = np.zeros(weight.shape[1])
+    for i in range(start, stop):
+        xyz[i] = np.nan
+        status[i] = TOO_FEW_CAMERAS
+        if (weight[i] > 0.0).sum() < 2:
+            continue
         if from_pairs:
-            start, determined = best_pair(projections, focal_px, uv_px[i], weight[i], scale_m)
+            first, determined = best_pair(projections, focal_px, uv_px[i], weight[i], scale_m)
         else:
-            start, determined = linear_point(projections, uv_px[i], weight[i])
-        if (weight[i] > 0.0).sum() < 2 or not determined:
+            first, determined = linear_point(projections, uv_px[i], weight[i])
+        if not determined:
             continue
         if refine:
-            xyz[i], ended = refine_point(
-                projections, focal_px, uv_px[i], weight[i], start, scale_m, residual_px[i], hessian[i]
+            xyz[i], status[i] = refine_point(
+                projections, focal_px, uv_px[i], weight[i], first, scale_m, residual_px[i], hessian[i]
             )
-            status[i] = np.uint8(ended)
         else:
-            xyz[i] = start
-            depth_m = np.zeros(cameras)
-            in_front = reprojection(projections, uv_px[i], weight[i], start, residual_px[i], depth_m)
-            status[i] = np.uint8(SOLVED) if in_front else np.uint8(BEHIND_CAMERA)
-    return xyz, hessian, residual_px, status
+            xyz[i] = first
+            in_front = reprojection(projections, uv_px[i], weight[i], first, residual_px[i], depth_m)
+            status[i] = SOLVED if in_front else BEHIND_CAMERA

@@ -215,8 +215,9 @@ def _run(command: list[str], folder: Path, pattern: str) -> Path:
         raise _DownloadFailed(f"{Path(command[0]).name} did not start: {error}") from error
     files = list(folder.glob(pattern))
     if done.returncode or not files:
-        complaints = [line.strip() for line in done.stderr.splitlines() if line.startswith(("npm error", "ERROR:"))]
-        raise _DownloadFailed(" / ".join(complaints[:3])[:400] or f"{Path(command[0]).name} left no package")
+        said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        errors = [line for line in said if line.startswith(("npm error", "ERROR:"))] or said[-1:]
+        raise _DownloadFailed(" / ".join(errors[:3])[:400] or f"{Path(command[0]).name} left no package")
     return files[0]
 
 
