@@ -21,6 +21,12 @@ HERE = Path(__file__).parent
 SERVER, WORKER = HERE / "server_main.py", HERE / "worker_main.py"
 
 
+CAMERA = """<camera serial="{name}"><fov_video bottom="47" left="0" right="63" top="0"/>
+<transform r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="-1" r33="0" x="1000" y="-4000" z="1500"/>
+<intrinsic centerPointU="2048" centerPointV="1536" focalLengthU="107520" focalLengthV="107584"
+ radialDistortion1="-0.046" radialDistortion2="0.14"/></camera>"""
+
+
 @contextmanager
 def running(script: Path, settings: Settings, log: Path) -> Iterator[subprocess.Popen[str]]:
     """Run a script of this folder as a process; it is always stopped."""
@@ -113,7 +119,8 @@ def capture(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture")
     for name, shade in (("cam01.mp4", 40), ("cam02.mp4", 80)):
         make_video(folder / name, shade)
-    (folder / "calibration.xml").write_text("<calibration></calibration>")
+    cameras = "".join(CAMERA.format(name=name) for name in ("cam01", "cam02"))
+    (folder / "calibration.xml").write_text(f"<calibration><cameras>{cameras}</cameras></calibration>")
     return folder
 
 

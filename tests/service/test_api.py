@@ -9,7 +9,7 @@ import pytest
 from gonio.http.problems import KINDS
 
 PROBLEM = "application/problem+json"
-NOBODY = str(uuid4())
+NOBODY = "00000000-0000-4000-8000-000000000000"
 
 
 def refusal(response) -> tuple[int, str]:

@@ -125,13 +125,22 @@ def test_an_unusual_name_is_kept_as_it_is(lab, session, capture, name):
 
 
 def test_what_is_no_video_or_no_calibration_is_refused_with_its_name(lab, session, tmp_path):
-    for name, code in (("cam09.mp4", "video-unreadable"), ("rig.toml", "calibration-unreadable")):
+    for name, code in (("cam09.mp4", "not-a-video"), ("rig.toml", "calibration-format-unknown")):
         (tmp_path / name).write_bytes(b"not what it says" * 100)
         with pytest.raises(InputError) as caught:
             lab.client.upload(session, tmp_path / name)
         assert (caught.value.code, caught.value.details["status"]) == (code, 422)
         assert name in caught.value.message
     assert "cam09.mp4" not in {file["name"] for file in lab.client.files(session)}
+
+
+def test_a_video_that_was_cut_is_refused(lab, session, capture, tmp_path):
+    content = (capture / "cam01.mp4").read_bytes()
+    (tmp_path / "cam08.mp4").write_bytes(content[:200])
+    with pytest.raises(InputError) as caught:
+        lab.client.upload(session, tmp_path / "cam08.mp4")
+    assert (caught.value.code, caught.value.details["status"]) == ("video-truncated", 422)
+    assert "cam08.mp4" in caught.value.message
 
 
 def test_the_role_comes_from_the_field_or_the_suffix(lab, session, capture, tmp_path):

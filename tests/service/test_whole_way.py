@@ -17,7 +17,9 @@ def test_upload_analyse_wait_report(lab, capture, journal, tmp_path):
         assert file["size"] == path.stat().st_size
     assert sent[-1][0] == sent[-1][1]
     by_name = {file["name"]: file for file in lab.client.files(session)}
-    assert by_name["cam01.mp4"]["facts"] == {"frames": 8, "rate_hz": 30.0}
+    facts = by_name["cam01.mp4"]["facts"]
+    assert (facts["frames"], facts["rate_hz"], facts["width_px"]) == (8, 30.0, 64)
+    assert by_name["calibration.xml"]["facts"] == {"cameras": ["cam01", "cam02"]}
     assert by_name["calibration.xml"]["role"] == "calibration"
 
     states: list[dict] = []

@@ -23,7 +23,7 @@ from gonio.jobs.workflow import APPLICATION, QUEUE, VERSION, Workshop, end_badly
 from gonio.pipeline.run import STAGE_SHARES, Analyse
 from gonio.settings import Settings
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("gonio.jobs.worker")  # by name: run as a module, this one is __main__
 
 POLL_S = 0.5
 """How long a queued job waits at most for an idle worker."""

@@ -111,10 +111,14 @@ class Analyse(Protocol):
 
 
 class Estimate:
-    """How far a whole run is, and how many seconds it still takes."""
+    """How far a whole run is, and how many seconds it still takes.
+
+    The pace is measured within the stage that runs, from its first progress on: what a stage does before that (a network
+    is loaded, code is compiled) comes once and would make the rest look long.
+    """
 
     SETTLING_S = 3.0
-    """The first seconds tell nothing: models are loaded and code is compiled."""
+    """How long a pace is measured before it is believed."""
     SMOOTHING_S = 5.0
     """A new estimate replaces the old one with this time constant, so that the number on the screen doesn't jump."""
 
@@ -128,33 +132,41 @@ class Estimate:
             self._shares[stage] = share / total
             passed += share
         self._clock = clock
-        self._begin_s = self._last_s = clock()
-        self._begin_fraction = self._fraction = 0.0
+        self._last_s = clock()
+        self._stage = ""
+        self._begin: tuple[float, float] | None = None
+        self._fraction = 0.0
         self._remaining_s: float | None = None
 
     def take(self, stage: str) -> None:
         """Count a stage as done that cost nothing, because its outcome was already there."""
         self._fraction = max(self._fraction, self._starts.get(stage, 0.0) + self._shares.get(stage, 0.0))
-        self._begin_s, self._begin_fraction = self._clock(), self._fraction
 
     def at(self, stage: str, fraction: float) -> tuple[float, float | None]:
         """Give the fraction of the whole and the remaining seconds (None: not known yet) at a point of a stage."""
         if stage in self._starts:
             here = self._starts[stage] + min(max(fraction, 0.0), 1.0) * self._shares[stage]
             self._fraction = max(self._fraction, here)  # a stage that starts anew doesn't take the bar back
+        if stage != self._stage:
+            self._stage, self._begin = stage, None
         now_s = self._clock()
-        elapsed_s, gained = now_s - self._begin_s, self._fraction - self._begin_fraction
-        if elapsed_s >= self.SETTLING_S and gained > 0:
-            self._remaining_s = self._smooth(elapsed_s * (1.0 - self._fraction) / gained, now_s)
-        self._last_s = now_s
+        step_s, self._last_s = now_s - self._last_s, now_s
+        if self._remaining_s is not None:
+            self._remaining_s = max(self._remaining_s - step_s, 0.0)
+        if self._begin is None and fraction > 0:
+            self._begin = now_s, self._fraction
+        if self._begin is not None:
+            self._measure(now_s - self._begin[0], self._fraction - self._begin[1], step_s)
         return self._fraction, self._remaining_s
 
-    def _smooth(self, remaining_s: float, now_s: float) -> float:
+    def _measure(self, elapsed_s: float, gained: float, step_s: float) -> None:
+        if elapsed_s < self.SETTLING_S or gained <= 0:
+            return
+        measured_s = elapsed_s * (1.0 - self._fraction) / gained
         if self._remaining_s is None:
-            return remaining_s
-        step_s = now_s - self._last_s
-        expected_s = max(self._remaining_s - step_s, 0.0)
-        return expected_s + (remaining_s - expected_s) * min(step_s / self.SMOOTHING_S, 1.0)
+            self._remaining_s = measured_s
+        else:
+            self._remaining_s += (measured_s - self._remaining_s) * min(step_s / self.SMOOTHING_S, 1.0)
 
 
 class LocalRunner:
