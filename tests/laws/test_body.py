@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import body_poses, couple, marker_jacobian, marker_positions
 from gonio.kernel.body.functions import piecewise_linear, polynomial, scaled, simm_spline, stack
-from gonio.kernel.body.tree import evaluate, flatten
+from gonio.kernel.body.tree import PIECE, evaluate, flatten
 from gonio.kernel.kinematics.inverse import pose_problem
 from gonio.kernel.kinematics.newton import linearise, make_workspace
 from gonio.records import Tasks
@@ -67,7 +67,7 @@ def test_gradient_and_newton_matrix_are_the_finite_differences_of_the_cost(model
 
     def gradient(at):
         cost(at)
-        return work.gradient.copy()
+        return work.unknowns["gradient"].copy()
 
     independent = model.coordinates.coupled_to < 0
     expected = finite_difference(cost, q)
@@ -157,10 +157,8 @@ def test_the_spline_goes_through_its_knots_smoothly_and_on_straight(y):
 
 def function_tree(functions):
     """A tree of nothing but functions."""
-    tree = flatten(read_osim(FILES[1]))
-    return tree._replace(
-        first_piece=np.array(functions.first_piece),
-        piece_from=np.array(functions.piece_from),
-        origin=np.array(functions.origin),
-        coefficients=np.array(functions.coefficients),
+    pieces = np.empty(len(functions.origin), dtype=PIECE)
+    pieces["start"], pieces["origin"] = functions.piece_from, functions.origin
+    return flatten(read_osim(FILES[1]))._replace(
+        first_piece=np.array(functions.first_piece), pieces=pieces, coefficients=np.array(functions.coefficients)
     )

@@ -190,6 +190,8 @@ def _axis_nodes(axis: Element, kind: int, which: int, names: list[str]) -> list[
     if function is None:  # older files leave out the identity, and the constant 0
         return [Node(label, kind, direction, polynomial(np.array([0.0, 1.0])), drivers[0])] if drivers else []
     pieces = read_function(function)
+    if not drivers and pieces.coefficients.size > 1:
+        raise InputError(f"{where} is a function of no coordinate.", hint="Name its coordinate, or make it a Constant.")
     if not np.any(pieces.coefficients):
         return []
     return [Node(label, kind, direction, pieces, drivers[0] if drivers else "")]

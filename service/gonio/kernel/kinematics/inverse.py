@@ -13,7 +13,16 @@ from numba import njit
 
 from gonio.errors import InputError
 from gonio.kernel.body.tree import Array, Tree, flatten
-from gonio.kernel.kinematics.newton import Problem, Workspace, descend, is_seen, make_workspace, measure
+from gonio.kernel.kinematics.newton import (
+    COORDINATE_TASK,
+    Problem,
+    Workspace,
+    copy_values,
+    descend,
+    is_seen,
+    make_workspace,
+    measure,
+)
 from gonio.kernel.parallel import over_blocks
 from gonio.records import (
     GROUND,
@@ -77,16 +86,23 @@ def solve_motion(
     problem = pose_problem(model, tasks, tolerance, max_iterations)
     observed, weights, frames = np.array(xyz_lab_m, dtype=float, order="C"), tasks.marker_weights.copy(), len(xyz_lab_m)
     answer = Answer(
-        q=np.empty((frames, len(problem.default))),
+        q=np.empty((frames, len(problem.coordinates))),
         cost=np.full(frames, np.inf),
         iterations=np.zeros(frames, dtype=np.int64),
         status=np.full(frames, TOO_FEW_MARKERS, dtype=np.uint8),
         residual_m=np.full(frames, np.nan),
-        told=np.zeros((frames, len(problem.default)), dtype=bool),
+        told=np.zeros((frames, len(problem.coordinates)), dtype=bool),
     )
-    over_blocks(lambda start, stop: _solve_chunk(problem, observed, weights, start, stop, answer), frames, _CHUNK)
-    _mend(problem, observed, weights, answer)
-    over_blocks(lambda start, stop: _measure_chunk(problem, observed, weights, start, stop, answer), frames, _CHUNK)
+
+    def solve(start: int, stop: int) -> None:
+        _solve_chunk(problem, observed, weights, start, stop, answer, make_workspace(problem.tree))
+
+    def measure_block(start: int, stop: int) -> None:
+        _measure_chunk(problem, observed, weights, start, stop, answer, make_workspace(problem.tree))
+
+    over_blocks(solve, frames, _CHUNK)
+    _mend(problem, observed, weights, answer, make_workspace(problem.tree))
+    over_blocks(measure_block, frames, _CHUNK)
     q, status = answer.q, answer.status
     if problem.heading >= 0:
         _unwrap(q[:, problem.heading], status != TOO_FEW_MARKERS)
@@ -122,23 +138,19 @@ def _check(model: BodyModel, tasks: Tasks, xyz_lab_m: Float[np.ndarray, "frame m
 
 def pose_problem(model: BodyModel, tasks: Tasks, tolerance: float, max_iterations: int) -> Problem:
     """Lay model and tasks out for the compiled solver."""
-    coordinates, tree = model.coordinates, flatten(model)
-    unbound = ~coordinates.clamped
-    lower = np.where(unbound, -np.inf, coordinates.range[:, 0])
-    upper = np.where(unbound, np.inf, coordinates.range[:, 1])
-    lower, upper = (np.where(coordinates.locked, coordinates.default, bound) for bound in (lower, upper))
-    of_ground = (model.joints.parent_body == GROUND) & (tree.driver >= 0)
-    root = np.zeros(len(coordinates.names), dtype=bool)
-    root[tree.driver[of_ground]] = True
+    given, tree = model.coordinates, flatten(model)
+    of_ground = (model.joints.parent_body == GROUND) & (tree.nodes["driver"] >= 0)
+    coordinates = np.zeros(len(given.names), dtype=COORDINATE_TASK)
+    coordinates["default"] = given.default
+    for bound, side, open_end in (("lower", 0, -np.inf), ("upper", 1, np.inf)):
+        limit = np.where(given.clamped, given.range[:, side], open_end)
+        coordinates[bound] = np.where(given.locked, given.default, limit)
+    coordinates["weight"], coordinates["target"] = tasks.coordinate_weights, tasks.coordinate_targets
+    coordinates["movable"] = (given.coupled_to < 0) & ~given.locked
+    coordinates["root"][tree.nodes["driver"][of_ground]] = True
     return Problem(
         tree=tree,
-        default=coordinates.default.copy(),
-        lower=lower,
-        upper=upper,
-        movable=(coordinates.coupled_to < 0) & ~coordinates.locked,
-        coordinate_weight=tasks.coordinate_weights.copy(),
-        coordinate_target=tasks.coordinate_targets.copy(),
-        root=root,
+        coordinates=coordinates,
         heading=_heading(model, tree, of_ground),
         trunk=_trunk(model),
         tolerance=tolerance,
@@ -155,18 +167,18 @@ def _unwrap(heading: Array, solved: Bool[np.ndarray, " frame"]) -> None:
 
 def _tellable(problem: Problem, weights: Array) -> Bool[np.ndarray, " coordinate"]:
     """Mark the coordinates that some weighted marker moves with: what all of them together would tell of."""
-    told = np.zeros(len(problem.default), dtype=bool)
-    measure(problem, np.zeros((len(weights), 3)), weights, problem.default.copy(), told, make_workspace(problem.tree))
+    told, work = np.zeros(len(problem.coordinates), dtype=bool), make_workspace(problem.tree)
+    measure(problem, np.zeros((len(weights), 3)), weights, problem.coordinates["default"].copy(), told, work)
     return told
 
 
 def _heading(model: BodyModel, tree: Tree, of_ground: Bool[np.ndarray, " node"]) -> int:
     """Find the root coordinate that turns the body about the vertical: the one whose axis is nearest to gravity."""
-    turning = np.flatnonzero(of_ground & (tree.kind == REVOLUTE))
+    turning = np.flatnonzero(of_ground & (tree.nodes["kind"] == REVOLUTE))
     if len(turning) == 0:
         return -1
-    upright = np.abs(tree.axis[turning] @ model.gravity_m_s2)
-    return int(tree.driver[turning[np.argmax(upright)]])
+    upright = np.abs(tree.nodes["axis"][turning] @ model.gravity_m_s2)
+    return int(tree.nodes["driver"][turning[np.argmax(upright)]])
 
 
 def _trunk(model: BodyModel) -> Bool[np.ndarray, " marker"]:
@@ -185,12 +197,15 @@ def _trunk(model: BodyModel) -> Bool[np.ndarray, " marker"]:
     return trunk[model.markers.body]
 
 
-@njit(cache=True, nogil=True)
-def _solve_chunk(problem: Problem, observed: Array, weights: Array, start: int, stop: int, answer: Answer) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve_chunk(
+    problem: Problem, observed: Array, weights: Array, start: int, stop: int, answer: Answer, work: Workspace
+) -> None:
     """Solve the frames from ``start`` to ``stop``, one after the other."""
-    work, q, status = make_workspace(problem.tree), answer.q, answer.status
+    q, status = answer.q, answer.status
     for frame in range(start, stop):
-        q[frame] = problem.default
+        for c in range(q.shape[1]):
+            q[frame, c] = problem.coordinates[c].default
         if _count_seen(observed[frame], weights) < _FEWEST_MARKERS:
             continue
         warm = frame > start and status[frame - 1] == SOLVED
@@ -198,19 +213,19 @@ def _solve_chunk(problem: Problem, observed: Array, weights: Array, start: int, 
             _predict(q, frame - 1, frame > start + 1 and status[frame - 2] == SOLVED, q[frame])
         else:
             _search(problem, observed[frame], weights, q[frame], work)
-        result = descend(problem, observed[frame], weights, problem.movable, warm, q[frame], work)
+        result = descend(problem, observed[frame], weights, False, warm, q[frame], work)
         answer.cost[frame], answer.iterations[frame] = result[0], result[1]
         status[frame] = SOLVED if result[2] else NOT_CONVERGED
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _predict(q: Array, before: int, moving: bool, start: Array) -> None:
     """Start from the frame before, carried on by its last change where there is one."""
     for c in range(len(start)):
         start[c] = 2.0 * q[before, c] - q[before - 1, c] if moving else q[before, c]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _count_seen(observed: Array, weights: Array) -> int:
     count = 0
     for marker in range(len(weights)):
@@ -219,36 +234,37 @@ def _count_seen(observed: Array, weights: Array) -> int:
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _search(problem: Problem, observed: Array, weights: Array, q: Array, work: Workspace) -> None:
-    """Find a start without knowing anything: the default pose, moved as a whole to the markers of the trunk.
+    """Find a start without knowing anything: ``q``, the default pose, moved as a whole to the markers of the trunk.
 
     People face any way, and a body turned by 180° is a minimum too: the root is fitted from four headings, and the best
     one wins.
     """
-    near = np.where(problem.trunk, weights, 0.0)
+    near = np.empty(len(weights))
+    for marker in range(len(weights)):
+        near[marker] = weights[marker] if problem.trunk[marker] else 0.0
     if _count_seen(observed, near) < _FEWEST_MARKERS:
         near = weights
-    best, best_cost = problem.default.copy(), np.inf
+    default, best_cost = q.copy(), np.inf
     for attempt in range(_HEADINGS if problem.heading >= 0 else 1):
-        trial = problem.default.copy()
+        trial = default.copy()
         if problem.heading >= 0:
             trial[problem.heading] += attempt * 2.0 * np.pi / _HEADINGS
-        cost = descend(problem, observed, near, problem.root & problem.movable, False, trial, work)[0]
+        cost = descend(problem, observed, near, True, False, trial, work)[0]
         if cost < best_cost:
             best_cost = cost
-            best[:] = trial
-    q[:] = best
+            copy_values(trial, q)
 
 
-@njit(cache=True, nogil=True)
-def _mend(problem: Problem, observed: Array, weights: Array, answer: Answer) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mend(problem: Problem, observed: Array, weights: Array, answer: Answer, work: Workspace) -> None:
     """Let frames learn from their neighbours, forwards and then backwards, so that none stays in a wrong minimum.
 
     A frame is solved again from its neighbour's solution where two chunks meet, and where its cost is more than twice
     the neighbour's. If that is better, it replaces what was found.
     """
-    work, frames = make_workspace(problem.tree), len(answer.q)
+    frames, trial = len(answer.q), np.empty(answer.q.shape[1])
     for direction in (1, -1):
         for step in range(1, frames):
             frame = step if direction == 1 else frames - 1 - step
@@ -257,18 +273,19 @@ def _mend(problem: Problem, observed: Array, weights: Array, answer: Answer) -> 
                 continue
             at_seam = max(frame, neighbour) % _CHUNK == 0
             if at_seam or answer.status[frame] != SOLVED or answer.cost[frame] > 2.0 * answer.cost[neighbour] + 1e-12:
-                trial = answer.q[neighbour].copy()
-                result = descend(problem, observed[frame], weights, problem.movable, True, trial, work)
+                copy_values(answer.q[neighbour], trial)
+                result = descend(problem, observed[frame], weights, False, True, trial, work)
                 better = answer.status[frame] != SOLVED or result[0] < answer.cost[frame] * (1.0 - 1e-6)
                 if result[2] and better:
-                    answer.q[frame] = trial
+                    copy_values(trial, answer.q[frame])
                     answer.cost[frame], answer.iterations[frame], answer.status[frame] = result[0], result[1], SOLVED
 
 
-@njit(cache=True, nogil=True)
-def _measure_chunk(problem: Problem, observed: Array, weights: Array, start: int, stop: int, answer: Answer) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measure_chunk(
+    problem: Problem, observed: Array, weights: Array, start: int, stop: int, answer: Answer, work: Workspace
+) -> None:
     """Fill each frame's root mean square residual, and which coordinates its markers tell of."""
-    work = make_workspace(problem.tree)
     for frame in range(start, stop):
         if answer.status[frame] != TOO_FEW_MARKERS:
             q, told = answer.q[frame], answer.told[frame]
