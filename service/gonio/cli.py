@@ -2,16 +2,14 @@
 
 import json
 import sys
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gonio.errors import GonioError
+from gonio.errors import GonioError, InputError
+from gonio.terminal import progress_bar, stage_lines
 
 app = typer.Typer(
     help="gonio: from synchronized videos to a gait report that can be trusted.",
@@ -21,9 +19,6 @@ app = typer.Typer(
 models_app = typer.Typer(help="The keypoint models: list them, fetch their weights.", no_args_is_help=True)
 app.add_typer(models_app, name="models")
 console = Console(stderr=True, highlight=False)
-
-Advance = Callable[[str, float, float | None], None]
-"""Hears the stage, the share of the whole that is done, and the seconds that remain (None: not known yet)."""
 
 
 def main() -> NoReturn:
@@ -87,14 +82,23 @@ def analyse(
     from gonio.pipeline.report import key_lines, load_report
     from gonio.pipeline.run import LocalRunner
 
-    wanted = json.loads(parameters.read_text()) if parameters else {}
+    wanted = _read_parameters(parameters) if parameters else {}
     files = find_capture_files(folder)
-    with progress_bar("Analysing") as advance:
+    with progress_bar(console) as advance:
         runner = LocalRunner(advance)
         report = analyse(files, wanted, runner, output or folder / "gonio")
-    for line in key_lines(load_report(report.document)):
+    for line in (*key_lines(load_report(report.document)), stage_lines(runner.seconds), f"Report: {report.page}"):
         print(line)
-    print(f"Report: {report.page}")
+
+
+def _read_parameters(path: Path) -> dict[str, object]:
+    try:
+        wanted = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name} can't be read as JSON: {error}.", hint="Give a JSON object.") from error
+    if not isinstance(wanted, dict):
+        raise InputError(f"{path.name} holds no JSON object.", hint='Give one, such as {"subject": {"mass_kg": 70}}.')
+    return wanted
 
 
 @app.command()
@@ -160,17 +164,3 @@ def doctor() -> None:
         if not finding.good:
             console.print(f"   → {finding.remedy}", soft_wrap=True)
     sys.exit(1 if any(f.needed and not f.good for f in findings) else 0)
-
-
-@contextmanager
-def progress_bar(title: str) -> Generator[Advance]:
-    """Show a bar with the stage, the share that is done and the seconds that remain."""
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn()
-    with Progress(*columns, TextColumn("{task.fields[remaining]}"), console=console) as bar:
-        task = bar.add_task(title, total=1.0, remaining="")
-
-        def advance(stage: str, fraction: float, remaining_s: float | None) -> None:
-            remaining = "" if remaining_s is None else f"about {remaining_s:.0f} s left"
-            bar.update(task, completed=fraction, description=stage, remaining=remaining)
-
-        yield advance

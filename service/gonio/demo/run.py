@@ -1,11 +1,11 @@
 """Run the demo: fetch what it needs, start the service, go the whole way over HTTP, stop the service."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn
 
 from gonio.client import Client, Document
 from gonio.demo.recording import CREDIT, Recording, ensure_recording
@@ -13,9 +13,7 @@ from gonio.demo.weights import ensure_models
 from gonio.http.server import serving
 from gonio.pipeline.report import key_lines, load_report
 from gonio.settings import Settings
-
-Advance = Callable[[str, float, float | None], None]
-"""Hears the stage, the share of the whole that is done, and the seconds that remain (None: not known yet)."""
+from gonio.terminal import progress_bar, stage_lines
 
 
 def run_demo(output: Path, from_files: Sequence[Path], console: Console) -> Path:
@@ -36,7 +34,7 @@ def run_demo(output: Path, from_files: Sequence[Path], console: Console) -> Path
     fetched_s = time.monotonic() - begin_s
     settings = Settings(data_dir=output.absolute() / "data", cache_dir=cache_dir, port=0)
     with serving(settings) as url, Client(url) as gonio:
-        console.print(f"Service: {url} (it stops when the demo ends; `gonio serve` keeps it)")
+        console.print(f"Service: {url} (it stops when the demo ends; `gonio serve` keeps it)", soft_wrap=True)
         while not gonio.is_ready():
             time.sleep(0.1)
         session = gonio.create_session(name="Demo: balancing on a beam")
@@ -45,6 +43,8 @@ def run_demo(output: Path, from_files: Sequence[Path], console: Console) -> Path
         paths = {path.name: path for path in gonio.download(job["id"], output / "report")}
     for line in key_lines(load_report(paths["report.json"])):
         console.print(line, soft_wrap=True)
+    seconds = {stage["name"]: stage["seconds"] for stage in job["stages"]}
+    console.print(stage_lines(seconds), style="dim", soft_wrap=True)
     console.print(f"Report: [bold]{paths['report.html'].absolute()}[/]", soft_wrap=True)
     console.print(f"Took {time.monotonic() - begin_s:.0f} s, {fetched_s:.0f} s of it for fetching.", style="dim")
     return paths["report.html"]
@@ -60,34 +60,12 @@ def upload(gonio: Client, session_id: str, recording: Recording, console: Consol
 
 
 def analyse(gonio: Client, session_id: str, console: Console) -> Document:
-    """Start the analysis and wait for its end; each stage leaves a line with its wall time."""
-    begin_s, stage = time.monotonic(), ""
-    with progress_bar(console) as bar:
-        task = bar.add_task("waiting for a worker", total=1.0, remaining="")
+    """Start the analysis and wait for its end, with a bar."""
+    with progress_bar(console) as advance:
 
         def show(job: Document) -> None:
-            nonlocal begin_s, stage
-            progress = job.get("progress") or {}
-            now = progress.get("stage") or stage
-            if now != stage:
-                if stage:
-                    console.print(f"  {stage:14} {time.monotonic() - begin_s:5.1f} s")
-                begin_s, stage = time.monotonic(), now
-            remaining_s = progress.get("remaining_s")
-            left = "" if remaining_s is None else f"about {remaining_s:.0f} s left"
-            bar.update(task, completed=progress.get("fraction") or 0.0, description=now or "waiting", remaining=left)
+            progress = job.get("progress")
+            if progress:
+                advance(progress["stage"], progress["fraction"], progress["remaining_s"])
 
-        job = gonio.wait(gonio.analyse(session_id)["id"], on_progress=show, poll_s=0.2)
-        bar.update(task, completed=1.0, description="done", remaining="")
-    return job
-
-
-def progress_bar(console: Console) -> Progress:
-    """Make a bar with the stage, the share that is done, the time so far and the time that remains."""
-    columns = (
-        TextColumn("  {task.description:14}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, TextColumn("{task.fields[remaining]}"), console=console)
+        return gonio.wait(gonio.analyse(session_id)["id"], on_progress=show, poll_s=0.2)
