@@ -11,7 +11,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z]+:.*?## ' $(MAKEFILE_LIST) | awk -F':.*?## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
 demo: $(VENV)/runtime  ## four real videos in over HTTP, a gait report out
-	$(BIN)/gonio demo
+	$(BIN)/gonio demo --output build/demo
 
 serve: $(VENV)/runtime  ## start the service on 127.0.0.1:8000
 	$(BIN)/gonio serve
