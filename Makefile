@@ -5,13 +5,13 @@ BIN := $(VENV)/bin
 NAME ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check bench format lock clean
+.PHONY: help demo serve test check bench format lock reference clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*?## ' $(MAKEFILE_LIST) | awk -F':.*?## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
 demo: $(VENV)/runtime  ## four real videos in over HTTP, a gait report out
-	$(BIN)/gonio demo
+	$(BIN)/gonio demo --output build/demo
 
 serve: $(VENV)/runtime  ## start the service on 127.0.0.1:8000
 	$(BIN)/gonio serve
@@ -39,6 +39,9 @@ lock: $(VENV)/dev  ## pin every dependency again, hashed, naming no index
 	  --extra models --group build pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --quiet \
 	  --group dev --group build --extra models -c requirements.lock pyproject.toml -o requirements-dev.lock
+
+reference: $(VENV)/dev  ## write the pages that are made from the code
+	$(BIN)/python docs/generate.py
 
 clean:  ## remove what the build made
 	rm -rf build dist $(VENV)

@@ -19,6 +19,7 @@ from gonio.records.body import (
     Tasks,
 )
 from gonio.records.camera import Camera, Rig
+from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
@@ -41,6 +42,7 @@ __all__ = [
     "Bodies",
     "BodyModel",
     "Camera",
+    "Capture",
     "CoordinatePrior",
     "Coordinates",
     "Finding",
@@ -56,5 +58,6 @@ __all__ = [
     "Severity",
     "Tasks",
     "Timebase",
+    "View",
     "record",
 ]

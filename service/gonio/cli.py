@@ -1,0 +1,166 @@
+"""The command line: gonio serve | worker | analyse | demo | models | bench | doctor."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+
+from gonio.errors import GonioError, InputError
+from gonio.terminal import progress_bar, stage_lines
+
+app = typer.Typer(
+    help="gonio: from synchronized videos to a gait report that can be trusted.",
+    no_args_is_help=True,
+    pretty_exceptions_show_locals=False,
+)
+models_app = typer.Typer(help="The keypoint models: list them, fetch their weights.", no_args_is_help=True)
+app.add_typer(models_app, name="models")
+console = Console(stderr=True, highlight=False)
+
+
+def main() -> NoReturn:
+    """Run the command line; a gonio error is two lines for people, not a traceback."""
+    try:
+        app(standalone_mode=False)
+    except GonioError as error:
+        console.print(f"[bold red]{error.code}[/]: {error.message}", soft_wrap=True)
+        console.print(f"→ {error.hint}", soft_wrap=True)
+        sys.exit(1)
+    except (typer.Abort, KeyboardInterrupt):
+        console.print("Stopped.")
+        sys.exit(130)
+    except typer.Exit as ended:
+        sys.exit(ended.exit_code)
+    except Exception as error:
+        # Typer's own usage errors know how to show themselves; everything else keeps its traceback.
+        show = getattr(error, "show", None)
+        if show is None:
+            raise
+        show()
+        sys.exit(getattr(error, "exit_code", 2))
+    sys.exit(0)
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Worker processes.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Where sessions and reports are kept.")] = None,
+) -> None:
+    """Start the service and its workers; Ctrl-C stops all of them."""
+    from gonio.http.server import serve as run
+    from gonio.settings import Settings
+
+    given = {"host": host, "port": port, "workers": workers, "data_dir": data_dir}
+    settings = Settings().model_copy(update={name: value for name, value in given.items() if value is not None})
+    run(settings, on_ready=lambda url: console.print(f"gonio listens on {url} (API reference: {url}/docs)"))
+
+
+@app.command()
+def worker() -> None:
+    """Join the service as one more worker, from this or another machine."""
+    from gonio.jobs.worker import run_worker
+    from gonio.pipeline import analyse as river
+    from gonio.settings import Settings
+
+    run_worker(Settings(), river)
+
+
+@app.command()
+def analyse(
+    folder: Annotated[Path, typer.Argument(help="Holds the videos and the calibration, also in subfolders.")],
+    output: Annotated[Path | None, typer.Option(help="Where the report goes. [default: FOLDER/gonio]")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
+) -> None:
+    """Analyse a folder of recordings without a server."""
+    from gonio.pipeline import analyse
+    from gonio.pipeline.folder import find_capture_files
+    from gonio.pipeline.report import key_lines, load_report
+    from gonio.pipeline.run import LocalRunner
+
+    wanted = _read_parameters(parameters) if parameters else {}
+    files = find_capture_files(folder)
+    with progress_bar(console) as advance:
+        runner = LocalRunner(advance)
+        report = analyse(files, wanted, runner, output or folder / "gonio")
+    for line in (*key_lines(load_report(report.document)), stage_lines(runner.seconds), f"Report: {report.page}"):
+        print(line)
+
+
+def _read_parameters(path: Path) -> dict[str, object]:
+    try:
+        wanted = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name} can't be read as JSON: {error}.", hint="Give a JSON object.") from error
+    if not isinstance(wanted, dict):
+        raise InputError(f"{path.name} holds no JSON object.", hint='Give one, such as {"subject": {"mass_kg": 70}}.')
+    return wanted
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option(help="Where the service keeps its data and the report goes.")] = Path(
+        "gonio-demo"
+    ),
+    from_file: Annotated[
+        list[Path] | None,
+        typer.Option(help="A file to use instead of fetching it: the package of the weights or the recording."),
+    ] = None,
+) -> None:
+    """Send four real videos over HTTP through a running service, and read the report."""
+    from gonio.demo.run import run_demo
+
+    run_demo(output, from_file or [], console)
+
+
+@models_app.command("list")
+def list_models() -> None:
+    """List the keypoint models and whether their weights are here."""
+    from gonio.settings import Settings
+    from gonio.vision.model_cards import list_cards, load_card
+    from gonio.vision.weights import cached_weights
+
+    for card in map(load_card, list_cards()):
+        state = "here" if cached_weights(card, Settings().cache_dir) else "not fetched"
+        print(f"{card.name:20} {state:12} {card.licence:12} {card.credit}")
+
+
+@models_app.command("fetch")
+def fetch_models(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Models to fetch. [default: what an analysis needs]")
+    ] = None,
+    from_file: Annotated[
+        list[Path] | None, typer.Option(help="A package or weights file to use instead of the network.")
+    ] = None,
+) -> None:
+    """Fetch and convert the weights of keypoint models."""
+    from gonio.demo.weights import ensure_models
+
+    ensure_models(names or None, from_file or [], console)
+
+
+@app.command()
+def bench(name: Annotated[str, typer.Argument(help="One bench; all without a name.")] = "") -> None:
+    """Measure accuracy and speed against the rivals, in the same run."""
+    from gonio.bench import run_benches
+
+    run_benches(name, Path("build"), console)
+
+
+@app.command()
+def doctor() -> None:
+    """Tell what is installed and what is missing."""
+    from gonio.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        mark = "[green]✓[/]" if finding.good else "[red]✗[/]" if finding.needed else "[yellow]–[/]"
+        console.print(f"{mark} {finding.what}: {finding.state}", soft_wrap=True)
+        if not finding.good:
+            console.print(f"   → {finding.remedy}", soft_wrap=True)
+    sys.exit(1 if any(f.needed and not f.good for f in findings) else 0)

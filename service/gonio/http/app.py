@@ -1,0 +1,94 @@
+"""The application: everything http is made of, put together once."""
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from http import HTTPStatus
+from importlib.metadata import version
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.concurrency import run_in_threadpool
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp
+
+from gonio.errors import GonioError
+from gonio.http import problems
+from gonio.http.middleware import Envelope
+from gonio.http.routes import analyses, files, jobs, meta, reports, sessions
+from gonio.http.schemas import Problem
+from gonio.jobs.database import upgrade
+from gonio.jobs.probe import Probe, probe_file
+from gonio.jobs.service import Service
+from gonio.settings import Settings
+
+DESCRIPTION = """\
+A gait laboratory: upload the videos of a capture and their calibration, start an analysis, read its report.
+
+  G=localhost:8000/v1
+  S=$(curl -s $G/sessions -H 'content-type: application/json' -d '{"kind": "human_multicamera"}' | jq -r .id)
+  for f in cam0?.mp4 calibration.qca.txt; do curl -F file=@$f $G/sessions/$S/files; done
+  J=$(curl -s -X POST $G/sessions/$S/analyses | jq -r .id)
+  curl $G/jobs/$J
+  curl $G/reports/$J
+
+Every answer that is no success is a problem document (application/problem+json) with a code, a detail
+and a hint.
+"""
+
+
+class Application(FastAPI):
+    """A FastAPI application in an envelope, whose OpenAPI document knows problem documents."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Put the envelope around everything: what FastAPI adds by itself answers in plain text."""
+        return Envelope(super().build_middleware_stack())
+
+    def openapi(self) -> dict[str, Any]:
+        """Give the OpenAPI document."""
+        document = super().openapi()
+        schema = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+        document["components"]["schemas"].setdefault("Problem", schema)
+        for methods in document["paths"].values():
+            for operation in methods.values():
+                for status, response in operation["responses"].items():
+                    if response["description"] == "Successful Response":  # the framework's word for all of them
+                        response["description"] = HTTPStatus(int(status)).phrase
+        return document
+
+
+def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
+    """Make the application.
+
+    Args:
+        settings: What the environment says.
+        probe: What looks into a file before it is accepted.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
+        await run_in_threadpool(upgrade, settings)
+        service = await run_in_threadpool(Service, settings, probe)
+        app.state.service = service
+        yield
+        await run_in_threadpool(service.close)
+
+    app = Application(
+        title="gonio",
+        version=version("gonio"),
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,  # FastAPI's own page loads its scripts from a foreign host
+        redoc_url=None,
+        max_body_size=settings.max_json_bytes,
+    )
+    app.state.settings = settings
+    app.add_exception_handler(Exception, problems.of_unforeseen_error)
+    app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
+    app.add_exception_handler(GonioError, problems.of_gonio_error)
+    app.add_exception_handler(HTTPException, problems.of_http_error)
+    app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
+    for module in (sessions, files, analyses, jobs, reports, meta):
+        app.include_router(module.router)
+    return app

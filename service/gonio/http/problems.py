@@ -1,0 +1,181 @@
+"""What an error looks like over HTTP: ``application/problem+json`` (RFC 9457), from ONE table of codes.
+
+The domain raises GonioErrors that know nothing of HTTP. A code that isn't in the table gets the status of its class; a
+code that is has a page of its own, ``/problems/<code>``, which the problem's ``type`` points to.
+"""
+
+import logging
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+from uuid import uuid4
+
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+
+from gonio import errors
+from gonio.jobs.failure import describe
+
+log = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+
+
+class Kind(NamedTuple):
+    """A documented kind of problem."""
+
+    status: int
+    title: str
+    meaning: str
+
+
+KINDS: Mapping[str, Kind] = {
+    # the classes of gonio.errors
+    "invalid-input": Kind(422, "Invalid input", "A file or a value can't be used. The detail says which, and why."),
+    "capture-insufficient": Kind(409, "Recording not sufficient", "The recording can't give the answer asked for."),
+    "solver-failed": Kind(500, "Solver failed", "A numerical solver found no solution; the job's problem says where."),
+    "resource-missing": Kind(503, "Something is missing", "A model or a tool isn't installed on the service."),
+    "cancelled": Kind(409, "Cancelled", "The analysis was cancelled on request."),
+    # requests
+    "invalid-request": Kind(422, "Invalid request", "A parameter or a field has a wrong value; `errors` lists each."),
+    "malformed-body": Kind(400, "Malformed body", "The body is no valid JSON or no valid form."),
+    "body-too-large": Kind(413, "Body too large", "The body of a request without a file has at most 1 MB."),
+    "unsupported-media-type": Kind(415, "Unsupported media type", "The body has another type than the page takes."),
+    "method-not-allowed": Kind(405, "Method not allowed", "This address exists, but not for this method."),
+    "range-not-satisfiable": Kind(416, "Range not satisfiable", "The file has no bytes in the range asked for."),
+    "bad-cursor": Kind(422, "Bad cursor", "`cursor` must be the `next_cursor` of the page before."),
+    "not-found": Kind(404, "Not found", "There is nothing under this address, or it belongs to another lab."),
+    "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
+    # files
+    "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
+    "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell whether it is a video or a calibration."),
+    "file-missing": Kind(422, "File missing", "The form has no part `file`."),
+    "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
+    "file-too-large": Kind(413, "File too large", "The file is larger than GONIO_MAX_UPLOAD_BYTES."),
+    "upload-truncated": Kind(400, "Upload truncated", "The form ended before its last part did. Nothing was kept."),
+    "disk-full": Kind(507, "Disk full", "The service has no room for the file."),
+    "not-a-video": Kind(422, "Not a video", "The file is no video container that gonio opens."),
+    "no-video-stream": Kind(422, "No video stream", "The file is a container without pictures."),
+    "video-truncated": Kind(422, "Video truncated", "The video ends before its header says it does."),
+    "video-empty": Kind(422, "Video empty", "The video has fewer than two frames."),
+    "video-damaged": Kind(422, "Video damaged", "A frame of the video can't be decoded."),
+    "video-codec-unsupported": Kind(422, "Codec unsupported", "The video's compression can't be decoded here."),
+    "calibration-format-unknown": Kind(422, "Calibration format unknown", "No reader of gonio knows the file."),
+    "calibration-unreadable": Kind(422, "Calibration unreadable", "The calibration is damaged."),
+    "calibration-incomplete": Kind(422, "Calibration incomplete", "A camera of the calibration lacks a value."),
+    # analyses and jobs
+    "calibration-missing": Kind(409, "Calibration missing", "An analysis needs the calibration of its cameras."),
+    "too-few-videos": Kind(409, "Too few videos", "A point needs two cameras to be seen in space."),
+    "session-busy": Kind(409, "Session busy", "What an analysis reads can't be deleted while it runs."),
+    "idempotency-key-reused": Kind(422, "Idempotency key reused", "A key stands for one analysis, for ever."),
+    "internal-error": Kind(500, "Internal error", "A fault of gonio's own; its log explains the `reference`."),
+    "worker-crashed": Kind(500, "Worker crashed", "The analysis ended the process that computed it."),
+    "artefact-damaged": Kind(500, "Artefact damaged", "An intermediate result is missing or has changed on the disk."),
+    "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),
+}
+
+_SCHEMA = {"$ref": "#/components/schemas/Problem"}
+
+_OF_STATUS = {
+    400: "malformed-body",
+    404: "not-found",
+    405: "method-not-allowed",
+    413: "body-too-large",
+    415: "unsupported-media-type",
+    416: "range-not-satisfiable",
+}
+
+
+def entry_of(code: str, class_name: str = "") -> str:
+    """Give the table's entry for a code: its own or, for a code that only the domain knows, that of its class."""
+    if code in KINDS:
+        return code
+    of_class = getattr(getattr(errors, class_name, None), "code", "")
+    return of_class if of_class in KINDS else "internal-error"
+
+
+def fails(*codes: str) -> dict[int | str, dict[str, Any]]:
+    """Document for OpenAPI how a route may fail; every route may fail by an invalid request or a fault of ours."""
+    responses: dict[int | str, dict[str, Any]] = {}
+    for code in (*codes, "invalid-request", "internal-error"):
+        kind = KINDS[code]
+        entry = responses.setdefault(kind.status, {"description": "", "content": {MEDIA_TYPE: {"schema": _SCHEMA}}})
+        entry["description"] += f"* `{code}`: {kind.meaning}\n"
+    return responses
+
+
+def problem(
+    request: Request,
+    code: str,
+    detail: str,
+    *,
+    hint: str = "See /docs.",
+    class_name: str = "",
+    status: int | None = None,
+    headers: Mapping[str, str] | None = None,
+    members: Mapping[str, Any] | None = None,
+) -> JSONResponse:
+    """Make a problem response."""
+    name = entry_of(code, class_name)
+    content: dict[str, Any] = {
+        **(members or {}),
+        "type": f"/problems/{name}",
+        "title": KINDS[name].title,
+        "status": status or KINDS[name].status,
+        "detail": detail,
+        "instance": request.url.path,
+        "code": code,
+        "hint": hint,
+    }
+    return JSONResponse(content, content["status"], headers, MEDIA_TYPE)
+
+
+def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer with an error of the domain."""
+    told = describe(error)
+    return problem(
+        request, told["code"], told["message"], hint=told["hint"], class_name=told["kind"], members=told["details"]
+    )
+
+
+def of_http_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer with an error of the framework: an unknown address, a method that isn't allowed, a body too large."""
+    assert isinstance(error, HTTPException)
+    return of_status(request, error.status_code, error.headers)
+
+
+def of_status(request: Request, status: int, headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """Answer with no more than a status."""
+    code = _OF_STATUS.get(status, "http-error")
+    return problem(request, code, KINDS[code].meaning, status=status, headers=headers)
+
+
+def of_invalid_request(request: Request, error: Exception) -> JSONResponse:
+    """Answer with everything that is wrong in a request, but not with what was sent."""
+    assert isinstance(error, RequestValidationError)
+    found = [(".".join(str(part) for part in item["loc"]), str(item["msg"]), item["type"]) for item in error.errors()]
+    if any(kind == "json_invalid" for _, _, kind in found):
+        return problem(request, "malformed-body", "The body is no valid JSON.", hint="Check its syntax.")
+    errors = [{"where": where, "message": message} for where, message, _ in found]
+    detail = "; ".join(f"{item['where']}: {item['message']}" for item in errors[:3])
+    hint = "See the page of this address in /docs."
+    return problem(request, "invalid-request", detail, hint=hint, members={"errors": errors})
+
+
+def of_disconnect(request: Request, error: Exception) -> JSONResponse:
+    """Answer a sender who went away, for the log of a proxy in between."""
+    return problem(request, "upload-truncated", KINDS["upload-truncated"].meaning, hint="Send it again.")
+
+
+def of_unforeseen_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer with a reference; what happened is in the log and nowhere else."""
+    reference = uuid4().hex[:12]
+    log.error("Internal error %s at %s %r", reference, request.method, request.url.path, exc_info=error)
+    return problem(
+        request,
+        "internal-error",
+        "Something went wrong inside gonio.",
+        hint=f"Tell whoever runs the service: its log explains the reference {reference}.",
+        members={"reference": reference},
+    )

@@ -1,0 +1,43 @@
+"""Analyses of a session: each starts a job."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
+
+from gonio.http.dependencies import CurrentLab, Id, TheService
+from gonio.http.problems import fails
+from gonio.http.routes.jobs import RETRY_AFTER_S
+from gonio.http.schemas import PRINTABLE, AnalysisIn, JobOut
+
+router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"])
+
+
+@router.post(
+    "",
+    status_code=202,
+    responses=fails(
+        "not-found",
+        "malformed-body",
+        "body-too-large",
+        "calibration-missing",
+        "too-few-videos",
+        "idempotency-key-reused",
+    ),
+)
+def start_analysis(
+    session_id: Id,
+    response: Response,
+    service: TheService,
+    lab: CurrentLab,
+    body: AnalysisIn | None = None,
+    idempotency_key: Annotated[
+        str | None,
+        Header(min_length=1, max_length=200, pattern=PRINTABLE, description="The same key gives the same job again."),
+    ] = None,
+) -> JobOut:
+    """Analyse the files that the session has now; `Location` is the job to ask for its end."""
+    parameters = body.parameters if body is not None else {}
+    row, _ = service.enqueue(lab, session_id, parameters, idempotency_key)
+    response.headers["Location"] = f"/v1/jobs/{row.id}"
+    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    return JobOut.of(service.job(lab, row.id))

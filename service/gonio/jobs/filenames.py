@@ -1,0 +1,63 @@
+"""Which names an uploaded file may have: a name is taken as it is or refused, nothing is renamed in silence."""
+
+import unicodedata
+from pathlib import PurePath
+from urllib.parse import unquote
+
+from gonio.errors import InputError
+from gonio.pipeline.run import Role
+
+MAX_BYTES = 255
+"""The longest file name that the usual file systems take."""
+VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".webm", ".wmv")
+CALIBRATIONS = (".toml", ".xml", ".txt", ".json", ".yaml", ".yml", ".calib")
+
+
+def check_file_name(name: str) -> None:
+    """Refuse a name that isn't plainly the name of one file.
+
+    Raises:
+        InputError: ``bad-file-name``, with the reason.
+    """
+    # Browsers and HTTP libraries percent-encode what they can't send, so what such a name stands for is looked at too.
+    for text in {name, unquote(name, errors="surrogateescape")}:
+        reason = _fault(text)
+        if reason is not None:
+            raise InputError(
+                f"The file name {name[:80]!r} is not allowed: it {reason}.",
+                hint=f"Give the file a plain name of at most {MAX_BYTES} bytes, such as cam01.mp4, and send it again.",
+                code="bad-file-name",
+            )
+
+
+def guess_role(name: str) -> Role:
+    """Tell from its name what a file is.
+
+    Raises:
+        InputError: ``role-unknown``.
+    """
+    suffix = PurePath(name).suffix.lower()
+    if suffix in VIDEOS:
+        return "video"
+    if suffix in CALIBRATIONS:
+        return "calibration"
+    raise InputError(
+        f"The name {name!r} doesn't tell whether it is a video or a calibration.",
+        hint="Send the form field `role` with `video` or `calibration`.",
+        code="role-unknown",
+    )
+
+
+def _fault(name: str) -> str | None:
+    if not name.strip():
+        return "is empty"
+    if name in (".", ".."):
+        return "is that of a folder"
+    if "/" in name or "\\" in name:
+        return "holds a path separator"
+    # Control characters, undecodable bytes, line separators; and what makes a name look like another one.
+    if any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in "\u202a\u202b\u202c\u202d\u202e" for c in name):
+        return "holds a character that can't be seen or decoded"
+    if len(name.encode()) > MAX_BYTES:
+        return f"is longer than {MAX_BYTES} bytes"
+    return None

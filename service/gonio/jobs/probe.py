@@ -1,0 +1,33 @@
+"""A look into a file before it is accepted: what can't be read is refused while its sender is still there."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gonio.pipeline.run import Role
+
+Probe = Callable[[Path, Role], dict[str, Any]]
+"""Opens a file in its role and gives the facts that its owner wants to see (rate, frames, cameras); plain JSON.
+
+Raises a GonioError that names the file and the remedy.
+"""
+
+
+def probe_file(path: Path, role: Role) -> dict[str, Any]:
+    """Look into a file with gonio's own readers."""
+    # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
+    if role == "video":
+        from gonio.vision.video import probe_video
+
+        info = probe_video(path)
+        return {
+            "codec": info.codec,
+            "width_px": info.image_size_px[0],
+            "height_px": info.image_size_px[1],
+            "rate_hz": info.rate_hz,
+            "frames": info.frame_count,
+            "duration_s": info.duration_s,
+        }
+    from gonio.formats.calibration import read_calibration
+
+    return {"cameras": list(read_calibration(path).names)}

@@ -1,0 +1,130 @@
+"""All queries on gonio's tables, each filtered by the lab that asks. Nothing else in gonio writes a query."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any, NamedTuple, TypeVar
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Session
+
+from gonio.errors import InputError
+from gonio.jobs.tables import ACTIVE, FileRow, JobRow, JobState, ReportRow, Row, SessionRow
+
+R = TypeVar("R", bound=Row)
+
+_NOUNS: dict[type[Row], str] = {SessionRow: "session", FileRow: "file", JobRow: "job", ReportRow: "report"}
+
+
+class Place(NamedTuple):
+    """Where a page of a list begins: after the row with this time and id, the list being newest first."""
+
+    created_at: datetime
+    id: str
+
+
+class Repository:
+    """What one lab can see and change, within one database session."""
+
+    def __init__(self, session: Session, lab: str) -> None:
+        self._db = session
+        self._lab = lab
+
+    def add(self, row: Row) -> None:
+        """Add a row; its lab becomes the asking one."""
+        row.lab = self._lab
+        self._db.add(row)
+        self._db.flush()
+
+    def session(self, session_id: str) -> SessionRow:
+        """Give a session, or raise ``not-found``."""
+        return self._one(SessionRow, SessionRow.id == session_id)
+
+    def sessions(self, limit: int, after: Place | None = None) -> Sequence[SessionRow]:
+        """List sessions, newest first."""
+        return self._page(SessionRow, limit, after)
+
+    def files(self, session_id: str) -> Sequence[FileRow]:
+        """List the files of a session by name."""
+        query = self._select(FileRow).where(FileRow.session_id == session_id).order_by(FileRow.name)
+        return self._db.scalars(query).all()
+
+    def file(self, session_id: str, file_id: str) -> FileRow:
+        """Give a file of a session, or raise ``not-found``."""
+        return self._one(FileRow, FileRow.session_id == session_id, FileRow.id == file_id)
+
+    def file_named(self, session_id: str, name: str) -> FileRow | None:
+        """Give the file of a session that has this name, if there is one."""
+        return self._db.scalar(self._select(FileRow).where(FileRow.session_id == session_id, FileRow.name == name))
+
+    def job(self, job_id: str) -> JobRow:
+        """Give a job, or raise ``not-found``."""
+        return self._one(JobRow, JobRow.id == job_id)
+
+    def find_job(self, job_id: str) -> JobRow | None:
+        """Give a job if there is one."""
+        return self._db.scalar(self._select(JobRow).where(JobRow.id == job_id))
+
+    def jobs(self, limit: int, after: Place | None = None) -> Sequence[JobRow]:
+        """List jobs, newest first."""
+        return self._page(JobRow, limit, after)
+
+    def active_jobs(self, session_id: str) -> Sequence[JobRow]:
+        """List the jobs of a session that haven't ended."""
+        return self._db.scalars(
+            self._select(JobRow).where(JobRow.session_id == session_id, JobRow.state.in_(ACTIVE))
+        ).all()
+
+    def jobs_of(self, session_id: str) -> Sequence[JobRow]:
+        """List all jobs of a session."""
+        return self._db.scalars(self._select(JobRow).where(JobRow.session_id == session_id)).all()
+
+    def report(self, report_id: str) -> ReportRow:
+        """Give a report, or raise ``not-found``."""
+        return self._one(ReportRow, ReportRow.id == report_id)
+
+    def reports(self, limit: int, after: Place | None = None) -> Sequence[ReportRow]:
+        """List reports, newest first."""
+        return self._page(ReportRow, limit, after)
+
+    def delete(self, row: Row) -> None:
+        """Delete a row and, with a session, all that belongs to it."""
+        self._db.delete(row)
+        self._db.flush()
+
+    def change_job(self, job_id: str, expected: Sequence[JobState], **values: Any) -> bool:  # noqa: ANN401 - columns
+        """Change a job if it is in an expected state, and tell whether it was: the guard of every transition."""
+        changed = self._db.scalars(
+            sa.update(JobRow)
+            .where(JobRow.lab == self._lab, JobRow.id == job_id, JobRow.state.in_(expected))
+            .values(**values)
+            .returning(JobRow.id)
+        )
+        return changed.first() is not None
+
+    def _select(self, kind: type[R]) -> sa.Select[R]:
+        return sa.select(kind).where(kind.lab == self._lab)
+
+    def _one(self, kind: type[R], *where: sa.ColumnElement[bool]) -> R:
+        row = self._db.scalar(self._select(kind).where(*where))
+        if row is None:
+            noun = _NOUNS[kind]
+            raise InputError(
+                f"There is no such {noun}.", hint=f"Check its id; GET the list of {noun}s.", code="not-found"
+            )
+        return row
+
+    def _page(self, kind: type[R], limit: int, after: Place | None) -> Sequence[R]:
+        query = self._select(kind).order_by(kind.created_at.desc(), kind.id.desc()).limit(limit)
+        if after is not None:
+            query = query.where(sa.tuple_(kind.created_at, kind.id) < sa.tuple_(after.created_at, after.id))
+        return self._db.scalars(query).all()
+
+
+def active_jobs_of_all_labs(session: Session) -> Sequence[JobRow]:
+    """List the jobs that haven't ended: for workers, which serve every lab."""
+    return session.scalars(sa.select(JobRow).where(JobRow.state.in_(ACTIVE))).all()
+
+
+def active_job_of_any_lab(session: Session, job_id: str) -> JobRow | None:
+    """Give a job if it hasn't ended: for workers."""
+    return session.scalar(sa.select(JobRow).where(JobRow.id == job_id, JobRow.state.in_(ACTIVE)))

@@ -1,0 +1,302 @@
+"""What the service can do, for http to call: sessions, files, analyses, jobs and reports of one lab."""
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from uuid import NAMESPACE_URL, uuid4, uuid5
+
+import sqlalchemy as sa
+from dbos import DBOSClient, DBOSPortableJSONSerializer
+from sqlalchemy.exc import IntegrityError
+
+from gonio.errors import CaptureError, InputError
+from gonio.jobs.database import Database
+from gonio.jobs.filenames import guess_role
+from gonio.jobs.probe import Probe
+from gonio.jobs.repository import Place, Repository
+from gonio.jobs.runner import PROGRESS
+from gonio.jobs.spool import Incoming, Spool
+from gonio.jobs.store import Store
+from gonio.jobs.tables import ACTIVE, FileRow, JobRow, JobState, ReportRow, SessionRow, now
+from gonio.jobs.workflow import APPLICATION, QUEUE, WORKFLOW, session_prefix
+from gonio.pipeline.run import Role
+from gonio.settings import Settings
+
+
+@dataclass(frozen=True)
+class JobView:
+    """A job and, while it is being computed, what its worker last said of it."""
+
+    row: JobRow
+    progress: Mapping[str, Any] | None
+
+
+class Service:
+    """All use cases. Each takes the lab that asks, and sees and changes nothing of any other lab.
+
+    The process that owns it computes nothing: it writes a job's row and queue entry, and a worker does the rest.
+    """
+
+    def __init__(self, settings: Settings, probe: Probe) -> None:
+        self.spool = Spool(
+            settings.data_dir / "spool", limit=settings.max_upload_bytes, free_disk_floor=settings.free_disk_floor
+        )
+        self.spool.sweep()
+        self._probe = probe
+        self._database = Database(settings.resolved_database_url)
+        self._store = Store.open(settings.resolved_objects_url)
+        self._queue = DBOSClient(
+            system_database_url=settings.resolved_database_url,
+            application_name=APPLICATION,
+            serializer=DBOSPortableJSONSerializer(),
+        )
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._queue.destroy()
+        self._database.close()
+
+    def check(self) -> None:
+        """Raise an error if the database can't be read or the disk is full."""
+        with self._database.read() as session:
+            session.execute(sa.text("SELECT 1"))
+        self.spool.check_room(0)
+
+    def create_session(self, lab: str, *, kind: str, name: str, subject: dict[str, Any]) -> SessionRow:
+        """Create a session."""
+        row = SessionRow(id=str(uuid4()), kind=kind, name=name, subject=subject)
+        with self._repository(lab) as repository:
+            repository.add(row)
+        return row
+
+    def session(self, lab: str, session_id: str) -> SessionRow:
+        """Give a session."""
+        with self._reading(lab) as repository:
+            return repository.session(session_id)
+
+    def sessions(self, lab: str, limit: int, after: Place | None = None) -> Sequence[SessionRow]:
+        """List sessions, newest first."""
+        with self._reading(lab) as repository:
+            return repository.sessions(limit, after)
+
+    def delete_session(self, lab: str, session_id: str) -> None:
+        """Delete a session with its files, jobs and reports, and everything that was computed from it.
+
+        Raises:
+            CaptureError: ``session-busy`` while an analysis of it runs.
+        """
+        with self._repository(lab) as repository:
+            row = repository.session(session_id)
+            _refuse_when_busy(repository, session_id)
+            jobs = [job.id for job in repository.jobs_of(session_id)]
+            repository.delete(row)
+        if jobs:
+            self._queue.delete_workflows(jobs)
+        self._store.delete(session_prefix(lab, session_id))
+
+    def accept_file(
+        self, lab: str, session_id: str, incoming: Incoming, role: Role | None, camera: str | None
+    ) -> tuple[FileRow, bool]:
+        """Accept a file that was received whole, and tell whether it is new: the same file twice is one file.
+
+        Raises:
+            InputError: Its content can't be read (the probe's code), or ``file-exists`` with other content.
+        """
+        role = role or guess_role(incoming.name)
+        with self._reading(lab) as repository:
+            repository.session(session_id)
+            known = repository.file_named(session_id, incoming.name)
+        if known is not None:
+            return _same_file(known, incoming, role, camera), False
+        facts = self._probe(incoming.path, role)
+        file_id = str(uuid4())
+        row = FileRow(
+            id=file_id,
+            session_id=session_id,
+            name=incoming.name,
+            role=role,
+            camera=camera,
+            size=incoming.size,
+            sha256=incoming.sha256,
+            facts=facts,
+            key=f"{session_prefix(lab, session_id)}/files/{file_id}",
+        )
+        # The content first: a row without its content would be a promise broken, a content without its row is nothing.
+        self._store.take_file(row.key, incoming.path)
+        try:
+            with self._repository(lab) as repository:
+                repository.session(session_id)
+                repository.add(row)
+        except IntegrityError:  # the same name came in twice at once, and the other one was first
+            self._store.delete(row.key)
+            with self._reading(lab) as repository:
+                known = repository.file_named(session_id, incoming.name)
+            if known is None:
+                raise
+            return _same_file(known, incoming, role, camera), False
+        except InputError:  # the session was deleted meanwhile
+            self._store.delete(row.key)
+            raise
+        return row, True
+
+    def files(self, lab: str, session_id: str) -> Sequence[FileRow]:
+        """List the files of a session."""
+        with self._reading(lab) as repository:
+            repository.session(session_id)
+            return repository.files(session_id)
+
+    def file(self, lab: str, session_id: str, file_id: str) -> FileRow:
+        """Give a file."""
+        with self._reading(lab) as repository:
+            return repository.file(session_id, file_id)
+
+    def delete_file(self, lab: str, session_id: str, file_id: str) -> None:
+        """Delete a file.
+
+        Raises:
+            CaptureError: ``session-busy`` while an analysis of the session runs.
+        """
+        with self._repository(lab) as repository:
+            row = repository.file(session_id, file_id)
+            _refuse_when_busy(repository, session_id)
+            repository.delete(row)
+        self._store.delete(row.key)
+
+    def enqueue(
+        self, lab: str, session_id: str, parameters: dict[str, Any], idempotency_key: str | None = None
+    ) -> tuple[JobRow, bool]:
+        """Queue an analysis of a session's present files, and tell whether it is new: a key gives one job for ever.
+
+        Raises:
+            CaptureError: ``calibration-missing`` or ``too-few-videos``.
+            InputError: ``idempotency-key-reused`` if the key's job was another one.
+        """
+        job_id = str(uuid4()) if idempotency_key is None else str(uuid5(NAMESPACE_URL, f"{lab}/{idempotency_key}"))
+        with self._database.write() as session:
+            repository = Repository(session, lab)
+            subject = repository.session(session_id).subject
+            wanted = {**parameters, "subject": {**subject, **parameters.get("subject", {})}}
+            known = repository.find_job(job_id)
+            if known is not None:
+                return _same_job(known, session_id, wanted), False
+            files = repository.files(session_id)
+            _refuse_when_incomplete(files)
+            row = JobRow(
+                id=job_id,
+                session_id=session_id,
+                state=JobState.TODO,
+                parameters=wanted,
+                files=[{"name": f.name, "role": f.role, "camera": f.camera, "key": f.key} for f in files],
+            )
+            repository.add(row)
+            # In the same transaction: there is no job without its queue entry, and no entry without its job.
+            self._queue.enqueue_in_transaction(
+                session,
+                {"queue_name": QUEUE, "workflow_name": WORKFLOW, "workflow_id": job_id},
+                lab,
+                job_id,
+            )
+        return row, True
+
+    def job(self, lab: str, job_id: str) -> JobView:
+        """Give a job with its progress."""
+        with self._reading(lab) as repository:
+            return self._view(repository.job(job_id))
+
+    def jobs(self, lab: str, limit: int, after: Place | None = None) -> Sequence[JobView]:
+        """List jobs, newest first."""
+        with self._reading(lab) as repository:
+            return [self._view(row) for row in repository.jobs(limit, after)]
+
+    def cancel(self, lab: str, job_id: str) -> JobView:
+        """Cancel a job; one that has ended stays as it is."""
+        with self._repository(lab) as repository:
+            repository.job(job_id)
+            cancelled = repository.change_job(job_id, ACTIVE, state=JobState.CANCELLED, ended_at=now())
+        if (
+            cancelled
+        ):  # after the row: if this process dies in between, the worker's result is refused by the row's state
+            self._queue.cancel_workflow(job_id)
+        return self.job(lab, job_id)
+
+    def report(self, lab: str, report_id: str) -> ReportRow:
+        """Give a report."""
+        with self._reading(lab) as repository:
+            return repository.report(report_id)
+
+    def reports(self, lab: str, limit: int, after: Place | None = None) -> Sequence[ReportRow]:
+        """List reports, newest first."""
+        with self._reading(lab) as repository:
+            return repository.reports(limit, after)
+
+    @contextmanager
+    def content(self, key: str) -> Generator[Path]:
+        """Give a local file with the content of a file or report, for as long as the block lasts."""
+        with self._store.local_path(key) as path:
+            yield path
+
+    def _view(self, row: JobRow) -> JobView:
+        progress = self._queue.get_event(row.id, PROGRESS, timeout_seconds=0) if row.state == JobState.DOING else None
+        return JobView(row, progress)
+
+    @contextmanager
+    def _reading(self, lab: str) -> Generator[Repository]:
+        with self._database.read() as session:
+            yield Repository(session, lab)
+
+    @contextmanager
+    def _repository(self, lab: str) -> Generator[Repository]:
+        with self._database.write() as session:
+            yield Repository(session, lab)
+
+
+def _same_file(known: FileRow, incoming: Incoming, role: Role, camera: str | None) -> FileRow:
+    if (known.sha256, known.role, known.camera) == (incoming.sha256, role, camera):
+        return known
+    raise InputError(
+        f"The session already has another file {known.name}.",
+        hint="DELETE it first, or upload this one under another name.",
+        code="file-exists",
+        file=known.id,
+    )
+
+
+def _same_job(known: JobRow, session_id: str, parameters: dict[str, Any]) -> JobRow:
+    if (known.session_id, known.parameters) == (session_id, parameters):
+        return known
+    raise InputError(
+        "This Idempotency-Key was already used for another analysis.",
+        hint="Use a new key for each analysis, and the same one only to repeat a request that got no answer.",
+        code="idempotency-key-reused",
+        job=known.id,
+    )
+
+
+def _refuse_when_busy(repository: Repository, session_id: str) -> None:
+    jobs = repository.active_jobs(session_id)
+    if jobs:
+        raise CaptureError(
+            "An analysis of this session is waiting or running.",
+            hint="Wait for its end, or cancel it first.",
+            code="session-busy",
+            jobs=[job.id for job in jobs],
+        )
+
+
+def _refuse_when_incomplete(files: Sequence[FileRow]) -> None:
+    videos = sum(file.role == "video" for file in files)
+    if not any(file.role == "calibration" for file in files):
+        raise CaptureError(
+            "The session has no calibration.",
+            hint="Upload the calibration of its cameras, then start the analysis again.",
+            code="calibration-missing",
+        )
+    if videos < 2:
+        raise CaptureError(
+            f"The session has {'no video' if videos == 0 else 'one video'}; the analysis needs at least two.",
+            hint="Upload the videos of at least two calibrated cameras, then start the analysis again.",
+            code="too-few-videos",
+            videos=videos,
+        )

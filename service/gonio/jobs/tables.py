@@ -1,0 +1,101 @@
+"""gonio's own tables. Every row belongs to a lab; ``gonio.jobs.repository`` holds all queries, and filters by it."""
+
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, ForeignKey, Index, MetaData, String, UniqueConstraint
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+METADATA = MetaData(
+    naming_convention={  # SQLite can only change a constraint that has a name
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+
+class JobState(StrEnum):
+    """The states of a job; the last three are final."""
+
+    TODO = "todo"  # in the queue
+    DOING = "doing"  # a worker computes it, or will again after a crash
+    SUCCEEDED = "succeeded"  # its report is there
+    FAILED = "failed"  # its problem says why
+    CANCELLED = "cancelled"  # on request
+
+
+ACTIVE = (JobState.TODO, JobState.DOING)
+
+
+def now() -> datetime:
+    """Give the time as the tables keep it: UTC without saying so, since SQLite has no zones."""
+    return datetime.now(UTC).replace(tzinfo=None)
+
+
+class Row(DeclarativeBase):
+    """What all rows have: an id that is also their name over HTTP, a lab that owns them, and a time."""
+
+    metadata = METADATA
+    type_annotation_map = {dict[str, Any]: JSON, list[dict[str, Any]]: JSON}  # noqa: RUF012 - SQLAlchemy's protocol
+
+    id: Mapped[str] = mapped_column(String(36), primary_key=True)
+    lab: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class SessionRow(Row):
+    """A capture session: one person, filmed once."""
+
+    __tablename__ = "sessions"
+    __table_args__ = (Index(None, "lab", "created_at"),)
+
+    kind: Mapped[str] = mapped_column(String(32))
+    name: Mapped[str]
+    subject: Mapped[dict[str, Any]]
+
+
+class FileRow(Row):
+    """An accepted file. Its content is in the store, whole, under ``key`` before this row exists."""
+
+    __tablename__ = "files"
+    __table_args__ = (UniqueConstraint("session_id", "name"),)
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id", ondelete="CASCADE"))
+    name: Mapped[str]
+    role: Mapped[str] = mapped_column(String(32))
+    camera: Mapped[str | None]
+    size: Mapped[int] = mapped_column(BigInteger)
+    sha256: Mapped[str] = mapped_column(String(64))
+    facts: Mapped[dict[str, Any]]  # what the probe saw: frames, rate, cameras, ...
+    key: Mapped[str]
+
+
+class JobRow(Row):
+    """An analysis of a session. The queue entry in DBOS has the same id and was written in the same transaction."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (Index(None, "lab", "created_at"), Index(None, "session_id", "state"))
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id", ondelete="CASCADE"))
+    state: Mapped[str] = mapped_column(String(16))
+    parameters: Mapped[dict[str, Any]]
+    files: Mapped[list[dict[str, Any]]]  # the session's files when the analysis was asked for: name, role, camera, key
+    problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    stages: Mapped[list[dict[str, Any]]] = mapped_column(default=list)  # name and seconds of each finished stage
+    started_at: Mapped[datetime | None]
+    ended_at: Mapped[datetime | None]
+    takeovers: Mapped[int] = mapped_column(default=0)  # how often a worker died over it since it last got on
+    steps_at_takeover: Mapped[int] = mapped_column(default=0)
+
+
+class ReportRow(Row):
+    """The result of a job, whose id it shares: there can't be two."""
+
+    __tablename__ = "reports"
+    __table_args__ = (Index(None, "lab", "created_at"),)
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id", ondelete="CASCADE"))
+    files: Mapped[list[dict[str, Any]]]  # name, key, size, sha256, and whether it is the document or the page

@@ -1,0 +1,117 @@
+"""Stages ``scaling`` and ``kinematics``: the body model made the subject's, and its joint angles in every frame."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gonio.errors import InputError
+from gonio.formats.markerset import read_markerset
+from gonio.formats.osim import read_osim
+from gonio.kernel.body.markerset import attach, make_tasks
+from gonio.kernel.body.scaling import measure_scale_factors, scale_model
+from gonio.kernel.kinematics.inverse import solve_motion
+from gonio.pipeline.findings import finding
+from gonio.pipeline.params import Subject
+from gonio.pipeline.run import Outcome
+from gonio.records import (
+    NOT_CONVERGED,
+    TOO_FEW_MARKERS,
+    BodyModel,
+    Finding,
+    LabPoints,
+    MarkerSet,
+    Motion,
+    Tasks,
+    record,
+)
+from gonio.resources import models_dir
+
+
+@record
+class SubjectBody:
+    """The body model in the subject's size, with the keypoints as its markers, and how inverse kinematics weighs them."""
+
+    model: BodyModel
+    tasks: Tasks
+    file: Path
+    scales: Float[np.ndarray, "body 3"]
+
+
+def scale_to_subject(points: LabPoints, subject: Subject) -> Outcome[SubjectBody]:
+    """Fit the built-in body model's segments to the subject's keypoints, and its mass to the subject's.
+
+    The table of segment masses is that of the subject's sex; that of men where it is not known.
+    """
+    file = models_dir() / "bodies" / f"fullbody_{subject.sex or 'male'}.osim"
+    markerset = markerset_for(points.keypoint_names)
+    generic = attach(read_osim(file), markerset)
+    observed = in_marker_order(generic, points)
+    markerset, unseen = keep_seen_measurements(generic, markerset, observed)
+    scales = measure_scale_factors(generic, markerset.measurements, observed)
+    model = scale_model(generic, scales, mass_kg=subject.mass_kg)
+    findings = [finding("segment-not-scaled", where=name) for name in unseen]
+    if subject.mass_kg is None:
+        findings.append(finding("mass-unknown", value=model.mass_kg))
+    if subject.sex is None:
+        findings.append(finding("sex-unknown"))
+    body = SubjectBody(model=model, tasks=make_tasks(model, markerset), file=file, scales=scales)
+    return Outcome(body, tuple(findings))
+
+
+def fit_motion(body: SubjectBody, points: LabPoints) -> Outcome[Motion]:
+    """Find the joint angles of every frame, and judge the fit."""
+    times_s = points.timebase.times_s(len(points.xyz_lab_m))
+    motion = solve_motion(body.model, body.tasks, in_marker_order(body.model, points), times_s)
+    return Outcome(motion, judge_motion(motion))
+
+
+def judge_motion(motion: Motion) -> tuple[Finding, ...]:
+    """Find what the reader has to know about the body fit."""
+    findings: list[Finding] = []
+    unsolved = 100 * float((motion.status == TOO_FEW_MARKERS).mean())
+    if unsolved > 0:
+        findings.append(finding("frames-unsolved", value=unsolved, severity="serious" if unsolved > 50 else None))
+    diverged = 100 * float((motion.status == NOT_CONVERGED).mean())
+    if diverged > 0:
+        findings.append(finding("frames-not-converged", value=diverged))
+    known = motion.residual_rms_m[np.isfinite(motion.residual_rms_m)]
+    if known.size and known.mean() > 0.04:  # good markerless points leave 20 to 30 mm
+        severe = "serious" if known.mean() > 0.08 else None
+        findings.append(finding("body-fit-poor", value=1e3 * float(known.mean()), severity=severe))
+    return tuple(findings)
+
+
+def markerset_for(keypoint_names: tuple[str, ...]) -> MarkerSet:
+    """Give the card that fixes these keypoints to the built-in body."""
+    for path in sorted((models_dir() / "markersets").glob("*.toml")):
+        markerset = read_markerset(path)
+        if set(markerset.keypoint_names) == set(keypoint_names):
+            return markerset
+    raise InputError(
+        f"No marker set places these keypoints on the body: {', '.join(keypoint_names)}.",
+        hint="Add a card to models/markersets, as CONTRIBUTING.md tells.",
+        code="markerset-missing",
+    )
+
+
+def in_marker_order(model: BodyModel, points: LabPoints) -> Float[np.ndarray, "frame marker 3"]:
+    """Give the points in the order of the model's markers."""
+    return points.xyz_lab_m[:, [points.index(name) for name in model.markers.names]]
+
+
+def keep_seen_measurements(
+    model: BodyModel, markerset: MarkerSet, observed: Float[np.ndarray, "frame marker 3"]
+) -> tuple[MarkerSet, tuple[str, ...]]:
+    """Leave out the pairs of markers that were never seen together; also give the measurements that lost all of theirs."""
+    seen = np.isfinite(observed[..., 0])
+
+    def seen_together(pair: tuple[str, str]) -> bool:
+        first, second = (model.markers.index(name) for name in pair)
+        return bool((seen[:, first] & seen[:, second]).any())
+
+    trimmed = [(m, tuple(pair for pair in m.pairs if seen_together(pair))) for m in markerset.measurements]
+    kept = tuple(replace(measurement, pairs=pairs) for measurement, pairs in trimmed if pairs)
+    lost = {measurement.name for measurement, pairs in trimmed if not pairs} - {m.name for m in kept}
+    return replace(markerset, measurements=kept), tuple(sorted(lost))

@@ -1,0 +1,254 @@
+"""Describe what was computed in the words of the report's schema: numbers rounded, units turned, unknowns null."""
+
+import hashlib
+import importlib.metadata
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from gonio.kernel.calibration.person import PersonRefinement
+from gonio.kernel.kinematics.clinical import clinical_deg, find_clinical_angles
+from gonio.pipeline.body import SubjectBody
+from gonio.pipeline.keypoints import Keypoints
+from gonio.pipeline.params import Parameters, parameters_document
+from gonio.pipeline.reconstruction import Reconstruction as Reconstructed
+from gonio.pipeline.reconstruction import camera_bias_px, segment_lengths_m
+from gonio.pipeline.report_schema import (
+    Angle,
+    BodyFit,
+    CameraReport,
+    GaitReport,
+    InputFile,
+    Level,
+    Provenance,
+    Reconstruction,
+    ReportFinding,
+    SegmentReport,
+    Series,
+    Verdict,
+)
+from gonio.pipeline.run import CaptureFile
+from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, LabPoints, Motion
+
+JOINTS = {
+    "hip_flexion": ("hip", "Hip flexion", "flexion"),
+    "knee_flexion": ("knee", "Knee flexion", "flexion"),
+    "ankle_dorsiflexion": ("ankle", "Ankle dorsiflexion", "dorsiflexion"),
+}
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """All that the river computed, from the files to the motion."""
+
+    files: tuple[CaptureFile, ...]
+    parameters: Parameters
+    capture: Capture
+    keypoints: Keypoints
+    refinement: PersonRefinement
+    raw: Reconstructed
+    points: LabPoints
+    body: SubjectBody
+    motion: Motion
+
+
+SENTENCES: dict[Level, str] = {
+    "good": "The cameras and the body model agree: the angles can be trusted within a few degrees.",
+    "usable": "The angles can be used with care: read the findings first.",
+    "poor": "Don't rest a decision on these angles: something serious is wrong with the recording.",
+}
+
+
+def verdict_of(findings: Sequence[Finding]) -> Verdict:
+    """Weigh the findings: a serious one makes the result poor, a warning usable."""
+    severities = {f.severity for f in findings}
+    level: Level = "poor" if "serious" in severities else "usable" if "warning" in severities else "good"
+    return Verdict(level=level, sentence=SENTENCES[level])
+
+
+def describe_camera(analysis: Analysis, camera: int) -> CameraReport:
+    """Describe one camera: its video, what it saw, and how that agrees with the other cameras."""
+    view = analysis.capture.views[camera]
+    error_px = np.linalg.norm(analysis.raw.points.residual_px[camera], axis=-1)
+    observed = np.isfinite(error_px)
+    bias = camera_bias_px(analysis.raw.points)[camera]
+    rejected = (analysis.raw.camera_weight[camera][observed] < 0.25).mean() if observed.any() else 0.0
+    return CameraReport(
+        name=view.camera_name,
+        file=view.file_name,
+        image_width_px=view.image_size_px[0],
+        image_height_px=view.image_size_px[1],
+        recorded_rate_hz=view.rate_hz,
+        recorded_frames=view.frame_count,
+        observations=int(observed.sum()),
+        seen_fraction=round(float(analysis.keypoints.seen[camera].mean()), 4),
+        reprojection_mean_px=number(mean(error_px)),
+        reprojection_median_px=number(median(error_px)),
+        bias_u_px=number(bias[0]),
+        bias_v_px=number(bias[1]),
+        rejected_fraction=round(float(rejected), 4),
+        corrected_by_mm=number(1e3 * analysis.refinement.moved_m[camera], 1),
+        corrected_by_deg=number(np.rad2deg(analysis.refinement.turned_rad[camera])),
+    )
+
+
+def describe_reconstruction(analysis: Analysis) -> Reconstruction:
+    """Describe how far the cameras agree, and how steady the segments are."""
+    error_px = np.linalg.norm(analysis.raw.points.residual_px, axis=-1)
+    before, after = segment_lengths_m(analysis.raw.points), segment_lengths_m(analysis.points)
+    return Reconstruction(
+        method=analysis.parameters.reconstruction.method,
+        keypoint_model=analysis.parameters.keypoints.model,
+        observations=int(np.isfinite(error_px).sum()),
+        reprojection_mean_px=number(mean(error_px)),
+        reprojection_median_px=number(median(error_px)),
+        disagreement_median_mm=number(1e3 * median(analysis.raw.miss_m)),
+        cameras_refined=analysis.refinement.kept,
+        held_out_before_px=number(analysis.refinement.error_before_px),
+        held_out_after_px=number(analysis.refinement.error_after_px),
+        cameras=[describe_camera(analysis, camera) for camera in range(len(analysis.capture.views))],
+        segments=[
+            SegmentReport(
+                name=name,
+                mean_mm=number(1e3 * mean(after[name]), 1),
+                sd_mm=number(1e3 * spread(after[name])),
+                sd_raw_mm=number(1e3 * spread(before[name])),
+            )
+            for name in after
+        ],
+    )
+
+
+def describe_body(analysis: Analysis) -> BodyFit:
+    """Describe the body model and how well it fits."""
+    model, motion = analysis.body.model, analysis.motion
+    rms = motion.residual_rms_m
+    return BodyFit(
+        model=model.name,
+        mass_kg=round(model.mass_kg, 2),
+        frames_solved=int((motion.status != TOO_FEW_MARKERS).sum()),
+        frames_partial=int((motion.status == PARTIAL).sum()),
+        marker_rms_mean_mm=number(1e3 * mean(rms), 1),
+        marker_rms_max_mm=number(1e3 * float(np.nanmax(rms)), 1) if np.isfinite(rms).any() else None,
+        # The factor along the segment's length: Y in the bodies' frames.
+        segment_scales={
+            name: round(float(factor), 4)
+            for name, factor in zip(model.bodies.names, analysis.body.scales[:, 1], strict=True)
+        },
+    )
+
+
+def describe_angles(analysis: Analysis) -> list[Angle]:
+    """Describe hip, knee and ankle of both legs over time, in degrees, positive in the clinical sense."""
+    return [
+        describe_angle(angle.name, angle.side, clinical_deg(analysis.motion, angle))
+        for angle in find_clinical_angles(analysis.body.model)
+    ]
+
+
+def describe_angle(name: str, side: str, degrees: np.ndarray) -> Angle:
+    """Describe one joint angle over time."""
+    joint, title, positive = JOINTS[name]
+    known = degrees[np.isfinite(degrees)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
+    return Angle.model_validate(
+        {
+            "joint": joint,
+            "side": side,
+            "name": title,
+            "positive": positive,
+            "values_deg": series(degrees),
+            "min_deg": number(low),
+            "max_deg": number(high),
+            "range_deg": number(high - low),
+        }
+    )
+
+
+def describe_provenance(files: Sequence[CaptureFile], parameters: Parameters, models: Mapping[str, Path]) -> Provenance:
+    """Describe where the report came from: inputs, settings, software and models, each by its hash or version."""
+    packages = ("numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless")
+    return Provenance(
+        inputs=[
+            InputFile(name=f.name, role=f.role, sha256=sha256_of(f.path), size_bytes=f.path.stat().st_size)
+            for f in files
+        ],
+        parameters=parameters_document(parameters),
+        software={
+            "gonio": importlib.metadata.version("gonio"),
+            "python": platform.python_version(),
+            **{name: importlib.metadata.version(name) for name in packages},
+        },
+        models={name: sha256_of(path) for name, path in models.items()},
+    )
+
+
+def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[str, Path]) -> GaitReport:
+    """Put the report together; the worst findings come first."""
+    order = {"serious": 0, "warning": 1, "info": 2}
+    capture = analysis.capture
+    return GaitReport(
+        created=datetime.now(UTC).replace(microsecond=0),
+        verdict=verdict_of(findings),
+        findings=[describe_finding(f) for f in sorted(findings, key=lambda f: order[f.severity])],
+        rate_hz=capture.timebase.rate_hz,
+        frames=capture.frame_count,
+        duration_s=round(capture.frame_count / capture.timebase.rate_hz, 4),
+        reconstruction=describe_reconstruction(analysis),
+        body=describe_body(analysis),
+        time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
+        angles=describe_angles(analysis),
+        provenance=describe_provenance(analysis.files, analysis.parameters, models),
+    )
+
+
+def describe_finding(finding: Finding) -> ReportFinding:
+    """Describe a finding."""
+    return ReportFinding(
+        code=finding.code,
+        severity=finding.severity,
+        stage=finding.stage,
+        message=finding.message,
+        hint=finding.hint,
+        where=finding.where,
+        value=finding.value if finding.value is None else number(finding.value, 3),
+        unit=finding.unit,
+    )
+
+
+def sha256_of(path: Path) -> str:
+    """Give the sha256 of a file, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def number(value: float, digits: int = 2) -> float | None:
+    """Round a number for the report; NaN becomes null."""
+    return round(float(value), digits) if np.isfinite(value) else None
+
+
+def series(values: np.ndarray) -> Series:
+    """Round a curve for the report; NaN becomes null."""
+    return [number(v, 3) for v in values]
+
+
+def mean(values: np.ndarray) -> float:
+    """Give the mean of the known values, NaN if none is known."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def median(values: np.ndarray) -> float:
+    """Give the median of the known values, NaN if none is known."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def spread(values: np.ndarray) -> float:
+    """Give the standard deviation of the known values, NaN with fewer than two."""
+    known = values[np.isfinite(values)]
+    return float(known.std()) if known.size > 1 else np.nan

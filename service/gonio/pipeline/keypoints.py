@@ -1,0 +1,91 @@
+"""Stage ``keypoints``: the subject's keypoints in every frame of every camera."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from gonio.pipeline.findings import finding
+from gonio.pipeline.run import Outcome, Progress
+from gonio.records import Capture, ImagePoints, record
+from gonio.vision.blazepose import LandmarkModel, PersonDetector
+from gonio.vision.frame import Frame
+from gonio.vision.model_cards import load_card
+from gonio.vision.pictures import encode_jpeg
+from gonio.vision.sessions import available_cores, open_session
+from gonio.vision.subject import track_subject
+from gonio.vision.weights import default_cache_dir, ensure_weights
+
+DETECTOR = "blazepose_detector"
+PICTURE_SIDE_PX = 960
+
+
+@record
+class Keypoints:
+    """The subject's keypoints, and a still frame of each camera to show them on.
+
+    ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their size
+    against the video's.
+    """
+
+    points: ImagePoints
+    pictures: tuple[Path, ...]
+    picture_frame: int
+    picture_scale: tuple[float, ...]
+
+    @property
+    def seen(self) -> Bool[np.ndarray, "camera frame"]:
+        """Where a camera saw the subject."""
+        return np.asarray(np.isfinite(self.points.uv_px[..., 0]).any(axis=-1))
+
+
+def find_keypoints(capture: Capture, model: str, output_dir: Path, progress: Progress) -> Outcome[Keypoints]:
+    """Find the subject's keypoints with the network ``model``; a picture of each camera goes to ``output_dir``.
+
+    Raises:
+        ResourceError: ``weights-missing``: the network's weights were never fetched, and can't be now.
+        CaptureError: ``nobody-found``.
+        InputError: A video can't be decoded to its end; the message names it and the frame.
+    """
+    card, detector_card = load_card(model), load_card(DETECTOR)
+    assert card.keypoints is not None  # a landmark card has them: its own check
+    cache_dir, workers = default_cache_dir(), available_cores()
+    detector = PersonDetector(detector_card, open_session(ensure_weights(detector_card, cache_dir)))
+    landmarks = LandmarkModel(card, open_session(ensure_weights(card, cache_dir)))
+    middle = capture.frame_count // 2
+    pictures: list[Path] = []
+    scales: list[float] = []
+
+    def keep_pictures(index: int, frames: Sequence[Frame]) -> None:
+        if index != middle:
+            return
+        folder = output_dir / "pictures"
+        folder.mkdir(parents=True, exist_ok=True)
+        for view, frame in zip(capture.views, frames, strict=True):
+            rgb = frame.rgb(PICTURE_SIDE_PX)
+            path = folder / f"{view.camera_name}.jpg"
+            path.write_bytes(encode_jpeg(rgb))
+            pictures.append(path)
+            scales.append(rgb.shape[1] / view.image_size_px[0])
+
+    tracked = track_subject(
+        capture,
+        detector,
+        landmarks,
+        card.keypoints.names,
+        workers=workers,
+        on_progress=progress,
+        on_frames=keep_pictures,
+    )
+    keypoints = Keypoints(
+        points=tracked.points, pictures=tuple(pictures), picture_frame=middle, picture_scale=tuple(scales)
+    )
+    findings = [
+        finding("camera-lost-subject", where=name, value=100 * (1 - float(seen.mean())))
+        for name, seen in zip(capture.rig.names, keypoints.seen, strict=True)
+        if seen.mean() < 0.9
+    ]
+    if tracked.people_in_view > 1:
+        findings.append(finding("bystanders", value=tracked.people_in_view))
+    return Outcome(keypoints, tuple(findings))

@@ -1,0 +1,58 @@
+"""The river for several synchronized cameras, from what was uploaded to the report. Read it from top to bottom."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gonio.pipeline.body import fit_motion, scale_to_subject
+from gonio.pipeline.capture import read_capture, read_rig
+from gonio.pipeline.describe import Analysis
+from gonio.pipeline.keypoints import find_keypoints
+from gonio.pipeline.params import parse_parameters
+from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
+from gonio.pipeline.report import write_report
+from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
+
+
+def analyse(
+    capture_files: Sequence[CaptureFile], parameters: Mapping[str, Any], runner: StageRunner, output_dir: Path
+) -> ReportFiles:
+    """Compute a gait report from the files of one session.
+
+    Args:
+        capture_files: The videos and the calibration.
+        parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
+        runner: Runs the stages; keeps what they give, where that is its job.
+        output_dir: Where the report's files go.
+
+    Raises:
+        InputError: A file or a parameter is wrong.
+        CaptureError: The recording can't give the answer.
+        ResourceError: Weights are missing.
+    """
+    chosen = parse_parameters(parameters)
+    output_dir.mkdir(parents=True, exist_ok=True)
+
+    rig = runner("calibration", lambda _: read_rig(capture_files))
+    capture = runner("capture", lambda _: read_capture(capture_files, rig))
+    keypoints = runner(
+        "keypoints", lambda progress: find_keypoints(capture, chosen.keypoints.model, output_dir, progress)
+    )
+    refined = runner("cameras", lambda _: refine_cameras(keypoints.points, capture.rig, chosen.reconstruction))
+    raw = runner("triangulation", lambda _: reconstruct(keypoints.points, refined.rig, chosen.reconstruction))
+    points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
+    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject))
+    motion = runner("kinematics", lambda _: fit_motion(body, points))
+
+    analysis = Analysis(
+        files=tuple(capture_files),
+        parameters=chosen,
+        capture=capture,
+        keypoints=keypoints,
+        refinement=refined,
+        raw=raw,
+        points=points,
+        body=body,
+        motion=motion,
+    )
+    return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))

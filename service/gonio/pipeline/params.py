@@ -1,0 +1,95 @@
+"""What a request may choose, with complete defaults. The HTTP schema is made from these classes, and a report keeps them."""
+
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from gonio.errors import InputError
+
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Subject:
+    """Who was filmed. All of it may be unknown; what needs a mass or a sex says so in the report."""
+
+    mass_kg: Annotated[float, Field(gt=2, lt=400, description="Body mass in kilograms.")] | None = None
+    stature_m: Annotated[float, Field(gt=0.4, lt=2.6, description="Standing height in metres.")] | None = None
+    sex: Annotated[Literal["female", "male"], Field(description="Chooses the table of segment masses.")] | None = None
+
+
+@dataclass(frozen=True, config=_STRICT)
+class KeypointParameters:
+    """How keypoints are found in the videos."""
+
+    model: Annotated[
+        Literal["blazepose_heavy", "blazepose_full"],
+        Field(description="`blazepose_heavy` is the accurate one; `blazepose_full` is a fast preview."),
+    ] = "blazepose_heavy"
+
+
+@dataclass(frozen=True, config=_STRICT)
+class ReconstructionParameters:
+    """How keypoints of several cameras become points in the lab."""
+
+    method: Annotated[
+        Literal["linear", "reprojection", "robust"],
+        Field(
+            description="A step of the ladder: linear least squares; confidence-weighted reprojection (Levenberg-"
+            "Marquardt); robust (camera-pair hypotheses, then Cauchy's loss)."
+        ),
+    ] = "robust"
+    min_confidence: Annotated[
+        float, Field(ge=0, lt=1, description="Keypoints that the model trusts less are not used.")
+    ] = 0.5
+    refine_cameras: Annotated[
+        bool,
+        Field(
+            description="Correct the cameras' poses on the subject's own movement, if that lowers the held-out error."
+        ),
+    ] = True
+    low_pass_hz: Annotated[
+        float, Field(gt=0, le=60, description="Cutoff of the zero-lag Butterworth filter that follows the median.")
+    ] = 6.0
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Parameters:
+    """All that a request may choose for an analysis."""
+
+    subject: Subject = field(default_factory=Subject)
+    keypoints: KeypointParameters = field(default_factory=KeypointParameters)
+    reconstruction: ReconstructionParameters = field(default_factory=ReconstructionParameters)
+
+
+_ADAPTER: TypeAdapter[Parameters] = TypeAdapter(Parameters)
+
+
+def parse_parameters(values: Mapping[str, Any]) -> Parameters:
+    """Check the parameters of a request and fill in the defaults.
+
+    Raises:
+        InputError: ``parameter-invalid``; the message names each wrong field and what it may be.
+    """
+    try:
+        return _ADAPTER.validate_python(dict(values))
+    except ValidationError as error:
+        wrong = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors(include_url=False))
+        raise InputError(
+            f"The parameters are not valid: {wrong}.",
+            hint="Leave a parameter out to get its default; the API reference lists them all.",
+            code="parameter-invalid",
+        ) from error
+
+
+def parameters_document(parameters: Parameters) -> dict[str, Any]:
+    """Give the parameters as plain JSON values, for the report."""
+    return _ADAPTER.dump_python(parameters, mode="json")
+
+
+def parameters_schema() -> dict[str, Any]:
+    """Give the JSON schema of the parameters."""
+    return _ADAPTER.json_schema()

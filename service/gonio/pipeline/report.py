@@ -1,0 +1,102 @@
+"""Stage ``report``: what was computed, written down for people (HTML), for programs (JSON) and for OpenSim (TRC, MOT)."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from gonio.formats.mot import table_of_motion, write_mot
+from gonio.formats.trc import Trajectories, write_trc
+from gonio.kernel.geometry.cameras import project
+from gonio.pipeline.describe import Analysis, describe
+from gonio.pipeline.figures import angle_figure
+from gonio.pipeline.keypoints import DETECTOR
+from gonio.pipeline.report_schema import GaitReport
+from gonio.pipeline.run import ReportFiles
+from gonio.records import Finding
+from gonio.vision.model_cards import load_card
+from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
+from gonio.vision.weights import default_cache_dir, ensure_weights
+
+
+def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
+    """Write ``report.json``, ``report.html``, ``markers.trc`` and ``motion.mot`` into ``output_dir``."""
+    names = (DETECTOR, analysis.parameters.keypoints.model)
+    weights = {name: ensure_weights(load_card(name), default_cache_dir(), offline=True) for name in names}
+    report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
+    document, page = output_dir / "report.json", output_dir / "report.html"
+    document.write_text(report.model_dump_json(indent=1), encoding="utf-8")
+    page.write_text(render_html(report, draw_pictures(analysis)), encoding="utf-8")
+    markers, motion = output_dir / "markers.trc", output_dir / "motion.mot"
+    points = analysis.points
+    write_trc(
+        markers,
+        Trajectories(
+            names=points.keypoint_names,
+            times_s=points.timebase.times_s(len(points.xyz_lab_m)),
+            xyz_m=points.xyz_lab_m,
+            rate_hz=points.timebase.rate_hz,
+        ),
+    )
+    write_mot(motion, table_of_motion(analysis.motion))
+    return ReportFiles(document=document, page=page, others=(markers, motion))
+
+
+def load_report(document: Path) -> GaitReport:
+    """Read a report that :func:`write_report` wrote."""
+    return GaitReport.model_validate_json(document.read_bytes())
+
+
+def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
+    """Draw the smoothed points over the still frame of each camera: what the reader can check by eye."""
+    card = load_card(analysis.parameters.keypoints.model)
+    assert card.keypoints is not None  # a landmark card has them: its own check
+    keypoints, points = analysis.keypoints, analysis.points
+    drawn: dict[str, bytes] = {}
+    for camera, path, scale in zip(analysis.raw.rig.cameras, keypoints.pictures, keypoints.picture_scale, strict=True):
+        uv_px = project(camera, points.xyz_lab_m[keypoints.picture_frame])
+        # A pixel's centre is at a whole number, its edges at halves: scaling acts on the edges.
+        place_px = (uv_px + 0.5) * scale - 0.5
+        picture = decode_jpeg(path.read_bytes())
+        drawn[camera.name] = encode_jpeg(
+            draw_skeleton(picture, place_px, points.keypoint_names, card.keypoints.segments)
+        )
+    return drawn
+
+
+def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
+    """Render the report as one self-contained page; ``pictures`` holds a JPEG a camera."""
+    environment = Environment(
+        loader=PackageLoader("gonio.pipeline", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    return environment.get_template("report.html.jinja").render(
+        report=report,
+        angle_svg=angle_figure(report.time_s, report.angles),
+        pictures={name: base64.b64encode(jpeg).decode() for name, jpeg in pictures.items()},
+    )
+
+
+def key_lines(report: GaitReport) -> list[str]:
+    """Give the six lines of a report that matter most, for a terminal."""
+    r, b = report.reconstruction, report.body
+    worst = max(r.cameras, key=lambda c: abs(complex(c.bias_u_px or 0, c.bias_v_px or 0)))
+    legs = [s for s in r.segments if s.name.endswith(("thigh", "shank"))]
+
+    def extent(joint: str, side: str) -> str:
+        angle = next(a for a in report.angles if a.joint == joint and a.side == side)
+        return "unknown" if angle.min_deg is None else f"{angle.min_deg:.0f}° to {angle.max_deg:.0f}°"
+
+    return [
+        f"Verdict: {report.verdict.level}. {report.verdict.sentence}",
+        f"Recording: {len(r.cameras)} cameras, {report.frames} frames at {report.rate_hz:g} Hz ({report.duration_s:.2f} s), "
+        f"{len(report.findings)} findings",
+        f"Cameras: reprojection mean {r.reprojection_mean_px} px, median {r.reprojection_median_px} px over "
+        f"{r.observations} observations; largest bias {worst.name} ({worst.bias_u_px}, {worst.bias_v_px}) px",
+        "Leg segments, SD over time: " + ", ".join(f"{s.name} {s.sd_mm} mm" for s in legs),
+        f"Body fit: {b.marker_rms_mean_mm} mm RMS in {b.frames_solved} of {report.frames} frames",
+        f"Knee flexion: right {extent('knee', 'right')}, left {extent('knee', 'left')}",
+    ]

@@ -1,0 +1,161 @@
+"""The gait report as JSON: a versioned schema that programs can rely on.
+
+The version follows the document, not the software: a field that is added raises the minor number, one that is removed or
+changes its meaning the major one. ``docs/reference/report.schema.json`` is made from these classes and held by a test.
+Units are in the names; unknown numbers are null, never 0.
+"""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = "1.0"
+
+Level = Literal["good", "usable", "poor"]
+Severity = Literal["info", "warning", "serious"]
+Series = list[float | None]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Verdict(_Model):
+    """How far the result can be trusted, in one sentence."""
+
+    level: Level
+    sentence: str
+
+
+class ReportFinding(_Model):
+    """Something the reader has to know, with its remedy; the codes are listed in docs/reference/findings.md."""
+
+    code: str
+    severity: Severity
+    stage: str
+    message: str
+    hint: str
+    where: str
+    value: float | None
+    unit: str
+
+
+class CameraReport(_Model):
+    """One camera: its video, and how well what it saw agrees with the other cameras."""
+
+    name: str
+    file: str
+    image_width_px: int
+    image_height_px: int
+    recorded_rate_hz: float
+    recorded_frames: int
+    observations: Annotated[int, Field(description="Keypoints of the subject that were used in triangulation.")]
+    seen_fraction: Annotated[float, Field(description="Share of frames in which this camera saw the subject.")]
+    reprojection_mean_px: float | None
+    reprojection_median_px: float | None
+    bias_u_px: Annotated[float | None, Field(description="Mean residual to the right; a good calibration leaves 0.")]
+    bias_v_px: Annotated[float | None, Field(description="Mean residual downwards.")]
+    corrected_by_mm: Annotated[
+        float | None, Field(description="How far the camera's pose was corrected on the subject.")
+    ]
+    corrected_by_deg: float | None
+    rejected_fraction: Annotated[float, Field(description="Share of observations that contradicted the other cameras.")]
+
+
+class SegmentReport(_Model):
+    """A body segment's length over the trial, after smoothing: bones don't change, so its scatter is error."""
+
+    name: str
+    mean_mm: float | None
+    sd_mm: float | None
+    sd_raw_mm: Annotated[float | None, Field(description="The same before smoothing.")]
+
+
+class Reconstruction(_Model):
+    """From image points to lab points."""
+
+    method: str
+    keypoint_model: str
+    observations: int
+    reprojection_mean_px: float | None
+    reprojection_median_px: float | None
+    disagreement_median_mm: Annotated[float | None, Field(description="Median reprojection error at the subject.")]
+    cameras_refined: Annotated[bool, Field(description="Whether the cameras' poses were corrected on the subject.")]
+    held_out_before_px: Annotated[
+        float | None, Field(description="Mean reprojection error in held-out moments, by the calibration as it came.")
+    ]
+    held_out_after_px: Annotated[float | None, Field(description="The same with corrected cameras.")]
+    cameras: list[CameraReport]
+    segments: list[SegmentReport]
+    heading: str = "The lab is turned about its vertical so that the subject heads towards +X."
+
+
+class BodyFit(_Model):
+    """The body model and how well it fits the points."""
+
+    model: str
+    mass_kg: float
+    frames_solved: int
+    frames_partial: Annotated[int, Field(description="Frames in which a limb without points is unknown.")]
+    marker_rms_mean_mm: float | None
+    marker_rms_max_mm: float | None
+    segment_scales: Annotated[
+        dict[str, float], Field(description="Length scale of each body against the generic model.")
+    ]
+
+
+class Angle(_Model):
+    """A joint angle over the trial."""
+
+    joint: Literal["hip", "knee", "ankle"]
+    side: Literal["left", "right"]
+    name: str
+    positive: Annotated[str, Field(description="What a positive angle means.")]
+    values_deg: Series
+    min_deg: float | None
+    max_deg: float | None
+    range_deg: float | None
+
+
+class InputFile(_Model):
+    """A file that the report was computed from."""
+
+    name: str
+    role: str
+    sha256: str
+    size_bytes: int
+
+
+class Provenance(_Model):
+    """All that is needed to compute the same report again."""
+
+    inputs: list[InputFile]
+    parameters: dict[str, Any]
+    software: dict[str, str]
+    models: Annotated[dict[str, str], Field(description="sha256 of each model file.")]
+
+
+class GaitReport(_Model):
+    """A gait report."""
+
+    schema_version: Literal["1.0"] = SCHEMA_VERSION
+    created: datetime
+    verdict: Verdict
+    findings: list[ReportFinding]
+    rate_hz: float
+    frames: int
+    duration_s: float
+    reconstruction: Reconstruction
+    body: BodyFit
+    time_s: list[float]
+    angles: list[Angle]
+    provenance: Provenance
+
+
+def report_schema() -> dict[str, Any]:
+    """Give the JSON schema of the report."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **GaitReport.model_json_schema(mode="serialization"),
+    }

@@ -1,0 +1,60 @@
+"""What can be set from outside, by environment variables ``GONIO_*``. Read by the command line, jobs and http only."""
+
+from pathlib import Path
+from typing import Annotated
+
+import platformdirs
+from pydantic import Field, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+MEGABYTE = 10**6
+GIGABYTE = 10**9
+
+
+class Settings(BaseSettings):
+    """The settings of one service: the defaults are those of a laptop with nothing beside it."""
+
+    model_config = SettingsConfigDict(env_prefix="GONIO_", frozen=True)
+
+    data_dir: Path = Field(
+        default_factory=lambda: platformdirs.user_data_path("gonio"),
+        description="The folder that holds the database and the files; what is in here must be backed up.",
+    )
+    cache_dir: Path = Field(
+        default_factory=lambda: platformdirs.user_cache_path("gonio"),
+        description="The folder for what can be made again: model weights and work in progress.",
+    )
+    database_url: str = Field(default="", description="An SQLAlchemy URL; without one, a SQLite file in data_dir.")
+    objects_url: str = Field(
+        default="", description="Where files and results are kept, as a URL; without one, a folder in data_dir."
+    )
+    host: str = Field(default="127.0.0.1", description="The address on which the service listens.")
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8000, description="The port; 0 takes a free one.")
+    workers: Annotated[int, Field(ge=0)] = Field(default=1, description="How many worker processes `gonio serve` runs.")
+    max_json_bytes: int = Field(default=MEGABYTE, description="The largest body of a request that carries no file.")
+    max_upload_bytes: int = Field(default=20 * GIGABYTE, description="The largest file that is accepted.")
+    free_disk_floor: int = Field(
+        default=2 * GIGABYTE, description="Uploads are refused when they would leave fewer free bytes on the disk."
+    )
+    default_lab: str = Field(default="default", description="The lab that owns everything while no key names another.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_empty(cls, values: dict[str, object]) -> dict[str, object]:
+        """Take an empty variable for one that isn't set: `GONIO_PORT= gonio serve` is no error."""
+        return {name: value for name, value in values.items() if value != ""}
+
+    @property
+    def resolved_database_url(self) -> str:
+        """The database's URL with its default filled in."""
+        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'gonio.db'}"
+
+    @property
+    def resolved_objects_url(self) -> str:
+        """The object store's URL with its default filled in."""
+        return self.objects_url or (self.data_dir.absolute() / "objects").as_uri()
+
+    def environment(self) -> dict[str, str]:
+        """Give the environment variables from which another process makes the same settings."""
+        prefix = self.model_config.get("env_prefix", "")
+        return {f"{prefix}{name.upper()}": str(value) for name, value in self}
