@@ -7,40 +7,49 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gonio.formats.mot import table_of_motion, write_mot
+from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
+from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.figures import angle_figure
 from gonio.pipeline.keypoints import DETECTOR
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
-from gonio.records import Finding
+from gonio.records import Finding, LabPoints, Motion
 from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
 from gonio.vision.weights import default_cache_dir, ensure_weights
 
 
 def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
-    """Write ``report.json``, ``report.html``, ``markers.trc`` and ``motion.mot`` into ``output_dir``."""
+    """Write ``report.json``, ``report.html``, and for OpenSim ``markers.trc``, ``motion.mot`` and ``model.osim``."""
     names = (DETECTOR, analysis.parameters.keypoints.model)
     weights = {name: ensure_weights(load_card(name), default_cache_dir(), offline=True) for name in names}
     report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
     document, page = output_dir / "report.json", output_dir / "report.html"
     document.write_text(report.model_dump_json(indent=1), encoding="utf-8")
     page.write_text(render_html(report, draw_pictures(analysis)), encoding="utf-8")
-    markers, motion = output_dir / "markers.trc", output_dir / "motion.mot"
-    points = analysis.points
-    write_trc(
-        markers,
-        Trajectories(
-            names=points.keypoint_names,
-            times_s=points.timebase.times_s(len(points.xyz_lab_m)),
-            xyz_m=points.xyz_lab_m,
-            rate_hz=points.timebase.rate_hz,
-        ),
+    return ReportFiles(
+        document=document,
+        page=page,
+        others=write_opensim_files(analysis.points, analysis.body, analysis.motion, output_dir),
     )
-    write_mot(motion, table_of_motion(analysis.motion))
-    return ReportFiles(document=document, page=page, others=(markers, motion))
+
+
+def write_opensim_files(points: LabPoints, body: SubjectBody, motion: Motion, output_dir: Path) -> tuple[Path, ...]:
+    """Write the points (``markers.trc``), the coordinates (``motion.mot``) and the scaled model (``model.osim``)."""
+    trc, mot, osim = (output_dir / name for name in ("markers.trc", "motion.mot", "model.osim"))
+    trajectories = Trajectories(
+        names=points.keypoint_names,
+        times_s=points.timebase.times_s(len(points.xyz_lab_m)),
+        xyz_m=points.xyz_lab_m,
+        rate_hz=points.timebase.rate_hz,
+    )
+    write_trc(trc, trajectories)
+    write_mot(mot, table_of_motion(motion))
+    write_osim(osim, body.model, body.file)
+    return trc, mot, osim
 
 
 def load_report(document: Path) -> GaitReport:
