@@ -147,6 +147,7 @@ def pose_problem(model: BodyModel, tasks: Tasks, tolerance: float, max_iteration
         coordinates[bound] = np.where(given.locked, given.default, limit)
     coordinates["weight"], coordinates["target"] = tasks.coordinate_weights, tasks.coordinate_targets
     coordinates["movable"] = (given.coupled_to < 0) & ~given.locked
+    coordinates["angle"] = given.rotational
     coordinates["root"][tree.nodes["driver"][of_ground]] = True
     return Problem(
         tree=tree,
@@ -272,13 +273,27 @@ def _mend(problem: Problem, observed: Array, weights: Array, answer: Answer, wor
             if answer.status[frame] == TOO_FEW_MARKERS or answer.status[neighbour] != SOLVED:
                 continue
             at_seam = max(frame, neighbour) % _CHUNK == 0
-            if at_seam or answer.status[frame] != SOLVED or answer.cost[frame] > 2.0 * answer.cost[neighbour] + 1e-12:
+            jumps = _largest_change(answer.q[frame], answer.q[neighbour]) > 0.5
+            if (
+                at_seam
+                or jumps
+                or answer.status[frame] != SOLVED
+                or answer.cost[frame] > 2.0 * answer.cost[neighbour] + 1e-12
+            ):
                 copy_values(answer.q[neighbour], trial)
                 result = descend(problem, observed[frame], weights, False, True, trial, work)
                 better = answer.status[frame] != SOLVED or result[0] < answer.cost[frame] * (1.0 - 1e-6)
                 if result[2] and better:
                     copy_values(trial, answer.q[frame])
                     answer.cost[frame], answer.iterations[frame], answer.status[frame] = result[0], result[1], SOLVED
+
+
+@njit(cache=True, error_model="numpy")
+def _largest_change(q: Array, other: Array) -> float:
+    largest = 0.0
+    for c in range(len(q)):
+        largest = max(largest, abs(q[c] - other[c]))
+    return largest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -29,6 +29,7 @@ COORDINATE_TASK = np.dtype(
         ("target", "f8"),
         ("movable", "?"),  # independent and not locked
         ("root", "?"),  # moves the whole body against the lab
+        ("angle", "?"),
     ],
     align=True,
 )
@@ -47,11 +48,17 @@ COMPOSITE = np.dtype(
 UNKNOWN = np.dtype(
     [
         ("gradient", "f8"),
-        ("scale", "f8"),  # the diagonal of the Gauss-Newton matrix: the damping's unit
+        ("scale", "f8"),  # the diagonal of the Gauss-Newton matrix: 0 where nothing tells of the coordinate
+        ("unit", "f8"),  # of the damping
         ("step", "f8"),
     ],
     align=True,
 )
+
+
+_LONGEST_RAD = 0.7
+_LARGEST_DAMPING = 1e9
+_NO_DECREASE_M2 = 1e-17  # of the cost: what no marker would show, 3 nm
 
 
 class Problem(NamedTuple):
@@ -114,20 +121,22 @@ def descend(
     cost = linearise(problem, observed, weights, q, exact, work)
     for iteration in range(1, problem.max_iterations + 1):
         count = _choose_free(problem, root_only, q, work)
-        while not _newton_step(count, damping, work):
+        while not (_newton_step(count, damping, work) and _is_short(problem, count, work)):
             if exact:  # far from the minimum Newton's matrix can be indefinite: Gauss and Newton's is not
                 exact = False
                 cost = linearise(problem, observed, weights, q, exact, work)
-            elif damping > 1e9:
+            elif damping > _LARGEST_DAMPING:
                 return cost, iteration, False
             else:
                 damping = max(10.0 * damping, 1e-9)
         size, clipped = _step_within_bounds(problem, count, q, work)
-        if exact and not clipped and damping == 0.0 and 10.0 * size * size < problem.tolerance:
+        decrease = _decrease(count, work)
+        quadratic = exact and not clipped and damping == 0.0 and 10.0 * size * size < problem.tolerance
+        if quadratic or (decrease < _NO_DECREASE_M2 and damping < 1e-2):
             # An undamped Newton step squares the error (for bodies it stayed below 10 · step²): no need to look again.
             copy_values(work.trial, q)
             couple_coordinates(problem.tree, q, work.coordinates)
-            return cost - 0.5 * _decrease(count, work), iteration, True
+            return cost - 0.5 * decrease, iteration, True
         exact = size < 0.2
         trial_cost = linearise(problem, observed, weights, work.trial, exact, work)
         if trial_cost <= cost * (1.0 + 1e-12) + 1e-18:
@@ -138,10 +147,23 @@ def descend(
             damping = 0.01 * damping if damping > 1e-4 else 0.0
         else:
             damping = max(10.0 * damping, 1e-4)
-            if damping > 1e9:
+            if damping > _LARGEST_DAMPING:
                 return cost, iteration, False
             cost = linearise(problem, observed, weights, q, exact, work)
     return cost, problem.max_iterations, False
+
+
+@njit(cache=True, error_model="numpy")
+def _is_short(problem: Problem, count: int, work: Workspace) -> bool:
+    """Tell whether the step turns nothing far: the cost is periodic in angles, and its slope here tells nothing of there.
+
+    Where markers hardly tell of a turn (an arm near the pole of its angles) a full step would be many turns long.
+    """
+    for k in range(count):
+        c = work.free[k]
+        if problem.coordinates[c].angle and abs(work.unknowns[c].step) > _LONGEST_RAD:
+            return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -156,7 +178,7 @@ def _decrease(count: int, work: Workspace) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _step_within_bounds(problem: Problem, count: int, q: Array, work: Workspace) -> tuple[float, bool]:
-    """Fill the trial point; give the largest change of a coordinate, and whether a bound cut one short."""
+    """Fill the trial point; give the largest change of a coordinate, and whether a bound cut the step."""
     size, clipped = 0.0, False
     copy_values(q, work.trial)
     for k in range(count):
@@ -186,7 +208,20 @@ def linearise(problem: Problem, observed: Array, weights: Array, q: Array, exact
             work.hessian[driver, driver] += task.weight * pose.first**2
             if exact:
                 work.hessian[driver, driver] += task.weight * away * pose.second
+    _choose_units(problem, work)
     return cost
+
+
+@njit(cache=True, error_model="numpy")
+def _choose_units(problem: Problem, work: Workspace) -> None:
+    """Damp each coordinate by its own scale (Marquardt), and angles that are hardly seen by a share of the largest too."""
+    largest = 0.0
+    for c in range(len(work.unknowns)):
+        if problem.coordinates[c].angle:
+            largest = max(largest, work.unknowns[c].scale)
+    for c in range(len(work.unknowns)):
+        floor = 1e-3 * largest if problem.coordinates[c].angle else 0.0
+        work.unknowns[c].unit = work.unknowns[c].scale + floor
 
 
 @njit(cache=True, error_model="numpy")
@@ -398,7 +433,7 @@ def _choose_free(problem: Problem, root_only: bool, q: Array, work: Workspace) -
 
 @njit(cache=True, error_model="numpy")
 def _newton_step(count: int, damping: float, work: Workspace) -> bool:
-    """Solve (H + damping · scale) step = −gradient for the free coordinates; False if that is not positive definite."""
+    """Solve (H + damping · unit) step = −gradient for the free coordinates; False if that is not positive definite."""
     if not factorise(count, damping, work):
         return False
     for i in range(count):
@@ -411,7 +446,7 @@ def _newton_step(count: int, damping: float, work: Workspace) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def factorise(count: int, damping: float, work: Workspace) -> bool:
-    """Factorise H + damping · scale of the free coordinates as Uᵀ U; False if that is not positive definite.
+    """Factorise H + damping · unit of the free coordinates as Uᵀ U; False if that is not positive definite.
 
     Rows are taken off the rows below them: that runs along memory, and where a limb has nothing to do with another one
     the factor is 0 and the row is skipped. Distal coordinates come first (see :func:`_choose_free`), so that no such
@@ -421,7 +456,7 @@ def factorise(count: int, damping: float, work: Workspace) -> bool:
     for i in range(count):
         for j in range(i, count):
             U[i, j] = work.hessian[free[i], free[j]]
-        U[i, i] += (damping + 1e-12) * work.unknowns[free[i]].scale
+        U[i, i] += (damping + 1e-12) * work.unknowns[free[i]].unit
     for i in range(count):
         if not U[i, i] > 1e-14 * work.unknowns[free[i]].scale:
             return False
