@@ -118,22 +118,24 @@ TOES_SHARE = 0.2166 / (1.25 + 0.2166)  # of the foot's mass
 TOES_COM_M = (0.0346, 0.006, -0.0175)
 TOES_INERTIA_KGM2 = (0.0001, 0.0002, 0.0001)  # of 0.2166 kg
 
-# Shoulder joint in the torso's frame, for a man, from the lumbar joint: rounded from the acromial joint of the
-# full-body model of Rajagopal et al. 2016 (IEEE Trans Biomed Eng 63:2068-2079; numbers not confirmed against the
-# file). Scaling to a person's own shoulders replaces it.
+# Shoulder joint in the torso's frame, for a man, from the lumbar joint: rounded from the acromial joint of the full-body
+# model of Rajagopal et al. 2016 (IEEE Trans Biomed Eng 63:2068-2079), read from a public model made from it. Scaling to a
+# person's own shoulders replaces it.
 SHOULDER_M = (0.003, 0.372, 0.170)
 SHOULDER_TORSO_MM = 477.0
 
-# Points of the face from the lower neck joint, for a man's head of 277 mm; right side. Estimates of ours from the
-# stature of eyes, ears and chin in common anthropometry, not from one table: good to a centimetre or two, and
-# weighted accordingly.
+# Points of the face from the lower neck joint, for a man's head of 277 mm; right side. Estimates of ours, good to a
+# centimetre or two and weighted accordingly: heights from the stature of eyes, ears and mouth in common anthropometry (not
+# one table); depths from a craniovertebral angle of about 50°, which puts the ear 45 mm before the joint in an upright
+# posture. The head's Y axis runs from that joint to the vertex and leans forwards by 8° then, so the points were turned
+# by as much.
 FACE_M = {
-    "nose": (0.115, 0.130, 0.0),
-    "eye": (0.090, 0.165, 0.033),
-    "eye_inner": (0.095, 0.165, 0.017),
-    "eye_outer": (0.083, 0.165, 0.047),
-    "ear": (0.010, 0.145, 0.073),
-    "mouth": (0.095, 0.090, 0.025),
+    "nose": (0.147, 0.137, 0.0),
+    "eye": (0.113, 0.167, 0.033),
+    "eye_inner": (0.118, 0.167, 0.017),
+    "eye_outer": (0.105, 0.167, 0.047),
+    "ear": (0.025, 0.150, 0.073),
+    "mouth": (0.125, 0.095, 0.025),
     "vertex": (0.0, 0.277, 0.0),
 }
 FACE_HEAD_MM = 277.0

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gonio.errors import InputError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import body_poses, marker_positions
-from gonio.kernel.body.markerset import attach, make_tasks
+from gonio.kernel.body.markerset import attach, find_joint_centre, make_tasks
 from gonio.kernel.kinematics.clinical import find_clinical_angles
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -81,6 +82,25 @@ def test_positive_angles_flex(model):
     q[1, model.coordinates.index("knee_angle_r")] = 1.0
     straight, bent = body_poses(model, q)[:, model.bodies.index("calcn_r"), :3, 3]
     assert bent[0] < straight[0] - 0.2  # the heel goes back
+
+
+def test_a_joint_can_carry_a_keypoint(model):
+    """The centre of a joint, in its parent body, is where the built-in body has a marker."""
+    for joint, marker in (("hip_r", "hip_r"), ("ankle_l", "ankle_l"), ("elbow_l", "elbow_l")):
+        body, location_m = find_joint_centre(model, joint)
+        index = model.markers.index(marker)
+        assert body == model.markers.body[index]
+        np.testing.assert_allclose(location_m, model.markers.location_body_m[index], atol=1e-9)
+    with pytest.raises(InputError, match="no joint named jaw"):
+        find_joint_centre(model, "jaw")
+
+
+@pytest.mark.parametrize("card", sorted((MODELS / "markersets").glob("*/*.toml")), ids=lambda path: path.parent.stem)
+def test_cards_for_the_models_of_labs_measure_what_they_place(card):
+    markerset = read_markerset(card)
+    for measurement in markerset.measurements:
+        for pair in measurement.pairs:
+            assert set(pair) <= set(markerset.keypoint_names)
 
 
 @pytest.mark.parametrize("card", CARDS, ids=lambda path: path.stem)

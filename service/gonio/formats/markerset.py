@@ -7,6 +7,7 @@
     marker_sd_mm = 20.0
     [keypoints]
     left_knee = {marker = "knee_l", weight = 3.0}                    # a marker of the model, or
+    left_hip = {joint = "hip_l", weight = 2.0}                       # the centre of a joint, or
     left_heel = {body = "calcn_l", location_mm = [0, 10, 0], weight = 1.0}
     [priors]
     subtalar_angle_l = {value_deg = 0.0, sd_deg = 5.0}               # value_mm, sd_mm for a slide
@@ -40,6 +41,7 @@ def read_markerset(path: Path) -> MarkerSet:
             name=str(card["name"]),
             keypoint_names=tuple(keypoints),
             markers=tuple(str(entry.get("marker", "")) for entry in keypoints.values()),
+            joints=tuple(str(entry.get("joint", "")) for entry in keypoints.values()),
             bodies=tuple(str(entry.get("body", "")) for entry in keypoints.values()),
             location_body_m=np.array([entry.get("location_mm", (0, 0, 0)) for entry in keypoints.values()]) / 1000.0,
             weights=np.array([float(entry["weight"]) for entry in keypoints.values()]),

@@ -42,15 +42,16 @@ class CoordinatePrior:
 class MarkerSet:
     """A card that fixes keypoints in a body model.
 
-    Keypoint ``i`` is the model's own marker ``markers[i]`` where that is not empty, else the point
-    ``location_body_m[i]`` of ``bodies[i]``. ``weights`` are those of inverse kinematics, 0 for a keypoint that is not
-    used. ``marker_sd_m`` is the standard deviation of a keypoint of weight 1: it makes the priors' standard
-    deviations commensurable with distances.
+    Keypoint ``i`` is the model's own marker ``markers[i]`` or the centre of its joint ``joints[i]``, where these are not
+    empty, else the point ``location_body_m[i]`` of ``bodies[i]``. ``weights`` are those of inverse kinematics, 0 for a
+    keypoint that is not used. ``marker_sd_m`` is the standard deviation of a keypoint of weight 1: it makes the priors'
+    standard deviations commensurable with distances.
     """
 
     name: str
     keypoint_names: tuple[str, ...]
     markers: tuple[str, ...]
+    joints: tuple[str, ...]
     bodies: tuple[str, ...]
     location_body_m: Float[np.ndarray, "keypoint 3"]
     weights: Float[np.ndarray, " keypoint"]
@@ -59,8 +60,14 @@ class MarkerSet:
     measurements: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        if not len(self.keypoint_names) == len(self.markers) == len(self.bodies) == len(self.weights):
+        if (
+            not len(self.keypoint_names)
+            == len(self.markers)
+            == len(self.joints)
+            == len(self.bodies)
+            == len(self.weights)
+        ):
             raise InputError(
                 f"The marker set {self.name} does not place each of its keypoints.",
-                hint="Give each a marker of the model, or a body and a location; and a weight.",
+                hint="Give each a marker or a joint of the model, or a body and a location; and a weight.",
             )

@@ -37,6 +37,11 @@ def body_poses(model: BodyModel, q: Float[np.ndarray, "frame coordinate"]) -> Fl
     return T_lab_node @ model.bodies.T_node_body
 
 
+def node_positions(model: BodyModel, q: Float[np.ndarray, "frame coordinate"]) -> Float[np.ndarray, "frame node 3"]:
+    """Give where the nodes are in the lab, metres: the centres of the joints, each after its own motion."""
+    return _pose_frames(flatten(model), np.array(q, dtype=float, order="C"))["p_lab_node"].copy()
+
+
 def marker_positions(model: BodyModel, q: Float[np.ndarray, "frame coordinate"]) -> Float[np.ndarray, "frame marker 3"]:
     """Give the markers' places in the lab, metres, in the order of ``model.markers``."""
     tree = flatten(model)

@@ -3,32 +3,54 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from gonio.records import BodyModel, Markers, MarkerSet, Tasks
+from gonio.errors import InputError
+from gonio.kernel.body.forward import body_poses, node_positions
+from gonio.records import GROUND, BodyModel, Markers, MarkerSet, Tasks
 
 
 def attach(model: BodyModel, markerset: MarkerSet) -> BodyModel:
     """Give the model the card's keypoints as its only markers, in the card's order.
 
     Raises:
-        InputError: the card names a marker or body that the model lacks.
+        InputError: the card names a marker, joint or body that the model lacks.
     """
-    bodies, locations = [], []
-    for row, (marker, body) in enumerate(zip(markerset.markers, markerset.bodies, strict=True)):
+    places: list[tuple[int, Float[np.ndarray, 3]]] = []
+    for row, (marker, joint) in enumerate(zip(markerset.markers, markerset.joints, strict=True)):
         if marker:
             index = model.markers.index(marker)
-            bodies.append(model.markers.body[index])
-            locations.append(model.markers.location_body_m[index])
+            places.append((int(model.markers.body[index]), model.markers.location_body_m[index]))
+        elif joint:
+            places.append(find_joint_centre(model, joint))
         else:
-            bodies.append(model.bodies.index(body))
-            locations.append(markerset.location_body_m[row])
+            places.append((model.bodies.index(markerset.bodies[row]), markerset.location_body_m[row]))
     markers = Markers(
         names=markerset.keypoint_names,
-        body=np.array(bodies, dtype=int),
-        location_body_m=np.array(locations).reshape(-1, 3),
-        fixed=np.ones(len(bodies), dtype=bool),
+        body=np.array([body for body, _ in places], dtype=int),
+        location_body_m=np.array([location for _, location in places]).reshape(-1, 3),
+        fixed=np.ones(len(places), dtype=bool),
     )
     return replace(model, markers=markers)
+
+
+def find_joint_centre(model: BodyModel, joint: str) -> tuple[int, Float[np.ndarray, "3"]]:
+    """Give a joint's centre in its parent body: that body's index, and where the moving side lies in the default pose, m.
+
+    Raises:
+        InputError: the model has no such joint.
+    """
+    names = model.joints.names
+    nodes = [node for node, name in enumerate(names) if name == joint or name.startswith(f"{joint}/")]
+    if not nodes:
+        known = dict.fromkeys(name.partition("/")[0] for name in names)
+        raise InputError(f"There is no joint named {joint}.", hint=f"The model has: {', '.join(known)}.")
+    parent = int(model.joints.parent_body[nodes[0]])
+    centre_lab_m = node_positions(model, model.coordinates.default[None])[0, nodes[-1]]
+    if parent == GROUND:
+        return parent, centre_lab_m
+    T_lab_parent = body_poses(model, model.coordinates.default[None])[0, parent]
+    return parent, T_lab_parent[:3, :3].T @ (centre_lab_m - T_lab_parent[:3, 3])
 
 
 def make_tasks(model: BodyModel, markerset: MarkerSet) -> Tasks:
