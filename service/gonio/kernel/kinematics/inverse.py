@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from numba import njit
 
 from gonio.errors import InputError
+from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.tree import Array, Tree, flatten
 from gonio.kernel.kinematics.newton import (
     COORDINATE_TASK,
@@ -38,7 +39,7 @@ from gonio.records import (
 
 _CHUNK = 64  # frames: long enough that the search at its start is cheap, short enough to feed many cores
 _FEWEST_MARKERS = 3
-_HEADINGS = 4
+_BAD_TRUNK_FIT_M2 = 0.005  # a root mean square distance of 100 mm, with the default pose's bends
 
 
 class Answer(NamedTuple):
@@ -102,7 +103,7 @@ def solve_motion(
 
     over_blocks(solve, frames, _CHUNK)
     _mend(problem, observed, weights, answer, make_workspace(problem.tree))
-    over_blocks(measure_block, frames, _CHUNK)
+    over_blocks(measure_block, frames, 16 * _CHUNK)
     q, status = answer.q, answer.status
     if problem.heading >= 0:
         _unwrap(q[:, problem.heading], status != TOO_FEW_MARKERS)
@@ -149,10 +150,15 @@ def pose_problem(model: BodyModel, tasks: Tasks, tolerance: float, max_iteration
     coordinates["movable"] = (given.coupled_to < 0) & ~given.locked
     coordinates["angle"] = given.rotational
     coordinates["root"][tree.nodes["driver"][of_ground]] = True
+    heading = _heading(model, tree, of_ground)
+    up = -model.gravity_m_s2 / max(float(np.linalg.norm(model.gravity_m_s2)), 1e-9)
     return Problem(
         tree=tree,
         coordinates=coordinates,
-        heading=_heading(model, tree, of_ground),
+        heading=-1 if heading is None else int(tree.nodes["driver"][heading]),
+        upward=1.0 if heading is None else float(np.sign(tree.nodes["axis"][heading] @ up) or 1.0),
+        up=up,
+        default_place=marker_positions(model, given.default[None])[0],
         trunk=_trunk(model),
         tolerance=tolerance,
         max_iterations=max_iterations,
@@ -173,13 +179,12 @@ def _tellable(problem: Problem, weights: Array) -> Bool[np.ndarray, " coordinate
     return told
 
 
-def _heading(model: BodyModel, tree: Tree, of_ground: Bool[np.ndarray, " node"]) -> int:
-    """Find the root coordinate that turns the body about the vertical: the one whose axis is nearest to gravity."""
+def _heading(model: BodyModel, tree: Tree, of_ground: Bool[np.ndarray, " node"]) -> int | None:
+    """Find the node that turns the body about the vertical: of those of the root, the one whose axis is nearest to it."""
     turning = np.flatnonzero(of_ground & (tree.nodes["kind"] == REVOLUTE))
     if len(turning) == 0:
-        return -1
-    upright = np.abs(tree.nodes["axis"][turning] @ model.gravity_m_s2)
-    return int(tree.nodes["driver"][turning[np.argmax(upright)]])
+        return None
+    return int(turning[np.argmax(np.abs(tree.nodes["axis"][turning] @ model.gravity_m_s2))])
 
 
 def _trunk(model: BodyModel) -> Bool[np.ndarray, " marker"]:
@@ -239,23 +244,55 @@ def _count_seen(observed: Array, weights: Array) -> int:
 def _search(problem: Problem, observed: Array, weights: Array, q: Array, work: Workspace) -> None:
     """Find a start without knowing anything: ``q``, the default pose, moved as a whole to the markers of the trunk.
 
-    People face any way, and a body turned by 180° is a minimum too: the root is fitted from four headings, and the best
-    one wins.
+    People face any way, and a body turned by 180° is a minimum too: the heading that fits best is computed first, and its
+    opposite is tried where the fit is bad.
     """
     near = np.empty(len(weights))
     for marker in range(len(weights)):
         near[marker] = weights[marker] if problem.trunk[marker] else 0.0
     if _count_seen(observed, near) < _FEWEST_MARKERS:
-        near = weights
-    default, best_cost = q.copy(), np.inf
-    for attempt in range(_HEADINGS if problem.heading >= 0 else 1):
-        trial = default.copy()
-        if problem.heading >= 0:
-            trial[problem.heading] += attempt * 2.0 * np.pi / _HEADINGS
-        cost = descend(problem, observed, near, True, False, trial, work)[0]
-        if cost < best_cost:
-            best_cost = cost
-            copy_values(trial, q)
+        copy_values(weights, near)
+    trial = q.copy()
+    if problem.heading >= 0:
+        trial[problem.heading] += problem.upward * _turn_about_up(problem, observed, near)
+    opposite = trial.copy()
+    cost = descend(problem, observed, near, True, False, trial, work)[0]
+    copy_values(trial, q)
+    if problem.heading >= 0 and cost > _BAD_TRUNK_FIT_M2:
+        opposite[problem.heading] += np.pi
+        if descend(problem, observed, near, True, False, opposite, work)[0] < cost:
+            copy_values(opposite, q)
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_about_up(problem: Problem, observed: Array, weights: Array) -> float:
+    """Give the turn about the vertical that takes the markers' default places closest to where they were seen, rad.
+
+    With both clouds about their centroids it is the one that maximises Σ w b·(R a): tan θ = Σ w up·(a × b) / Σ w (a·b,
+    horizontal parts).
+    """
+    up, total, sine, cosine = problem.up, 0.0, 0.0, 0.0
+    middle, centre = np.zeros(3), np.zeros(3)
+    for marker in range(len(weights)):
+        if weights[marker] > 0.0 and is_seen(observed[marker]):
+            total += weights[marker]
+            for i in range(3):
+                middle[i] += weights[marker] * problem.default_place[marker, i]
+                centre[i] += weights[marker] * observed[marker, i]
+    for marker in range(len(weights)):
+        if weights[marker] > 0.0 and is_seen(observed[marker]):
+            a_up = b_up = dot = 0.0
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                a = problem.default_place[marker, i] - middle[i] / total
+                b = observed[marker, i] - centre[i] / total
+                dot, a_up, b_up = dot + a * b, a_up + a * up[i], b_up + b * up[i]
+                a_j = problem.default_place[marker, j] - middle[j] / total
+                a_k = problem.default_place[marker, k] - middle[k] / total
+                b_j, b_k = observed[marker, j] - centre[j] / total, observed[marker, k] - centre[k] / total
+                sine += weights[marker] * up[i] * (a_j * b_k - a_k * b_j)
+            cosine += weights[marker] * (dot - a_up * b_up)
+    return np.arctan2(sine, cosine)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -67,6 +67,9 @@ class Problem(NamedTuple):
     tree: Tree
     coordinates: Array  # (coordinate,) COORDINATE_TASK
     heading: int  # the root coordinate that turns the body about the vertical, −1 if there is none
+    upward: float  # 1 if it turns about the upward direction, −1 if about the downward
+    up: Array  # (3,): unit vector against gravity
+    default_place: Array  # (marker, 3): where the markers are in the default pose, m
     trunk: Array  # (marker,) bool: on the trunk
     tolerance: float  # rad or m
     max_iterations: int
