@@ -1,15 +1,18 @@
-"""The command line: gonio serve | worker | analyse | demo | models | bench | doctor."""
+"""The command line: gonio serve | worker | analyse | scale | ik | demo | models | bench | doctor."""
 
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from gonio.errors import GonioError, InputError
 from gonio.terminal import progress_bar, stage_lines
+
+if TYPE_CHECKING:
+    from gonio.pipeline.opensim_tools import ToolResult
 
 app = typer.Typer(
     help="gonio: from synchronized videos to a gait report that can be trusted.",
@@ -99,6 +102,29 @@ def _read_parameters(path: Path) -> dict[str, object]:
     if not isinstance(wanted, dict):
         raise InputError(f"{path.name} holds no JSON object.", hint='Give one, such as {"subject": {"mass_kg": 70}}.')
     return wanted
+
+
+@app.command()
+def scale(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of a ScaleTool, unchanged.")]) -> None:
+    """Scale a body model as OpenSim's ScaleTool does."""
+    from gonio.pipeline.opensim_tools import run_scale
+
+    _tell(run_scale(setup)[1])
+
+
+@app.command()
+def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an InverseKinematicsTool, unchanged.")]) -> None:
+    """Find joint angles from markers as OpenSim's InverseKinematicsTool does."""
+    from gonio.pipeline.opensim_tools import run_kinematics
+
+    _tell(run_kinematics(setup)[1])
+
+
+def _tell(result: "ToolResult") -> None:
+    for remark in result.remarks:
+        console.print(f"→ {remark}", soft_wrap=True)
+    for file in result.files:
+        print(file)
 
 
 @app.command()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] - no types
 
 from gonio.errors import InputError
 from gonio.formats.osim_xml import (
@@ -91,6 +93,7 @@ class KinematicsSetup:
 class ScaleSetup:
     """A ScaleTool. ``manual_factors`` override what was measured where ``manual_last``, as the scaling order says."""
 
+    name: str
     model_file: Path
     marker_set_file: Path | None
     mass_kg: float | None
@@ -101,6 +104,7 @@ class ScaleSetup:
     manual_last: bool
     preserve_mass_distribution: bool
     scaled_model_file: Path | None
+    scale_set_file: Path | None
     placing: "PlacementSetup | None"
 
 
@@ -177,6 +181,7 @@ def read_scale_setup(path: Path) -> ScaleSetup:
     order = words(scaler, "scaling_order") if scaler is not None else []
     mass_kg = number(tool, "mass", -1.0)
     return ScaleSetup(
+        name=name_of(tool),
         model_file=_required(maker, "model_file", path),
         marker_set_file=_optional(maker, "marker_set_file", path),
         mass_kg=mass_kg if mass_kg > 0 else None,
@@ -187,6 +192,7 @@ def read_scale_setup(path: Path) -> ScaleSetup:
         manual_last=order[-1:] == ["manualScale"],
         preserve_mass_distribution=scaler is not None and flag(scaler, "preserve_mass_distribution", default=False),
         scaled_model_file=_optional(scaler, "output_model_file", path) if scaler is not None else None,
+        scale_set_file=_optional(scaler, "output_scale_file", path) if scaler is not None else None,
         placing=None if placer is None else _read_placement(placer, path),
     )
 
@@ -236,6 +242,19 @@ def read_external_loads(path: Path) -> ExternalLoads:
             )
         )
     return ExternalLoads(data_file=_required(loads, "datafile", path), forces=tuple(forces))
+
+
+def write_scale_set(path: Path, bodies: tuple[str, ...], factors: Float[np.ndarray, "body 3"]) -> None:
+    """Write the scale factors that were applied, as OpenSim does."""
+    document = etree.Element("OpenSimDocument", Version="20303")
+    holder = etree.SubElement(etree.SubElement(document, "ScaleSet", name="ScaleSet"), "objects")
+    for body, factor in zip(bodies, factors, strict=True):
+        scale = etree.SubElement(holder, "Scale")
+        etree.SubElement(scale, "scales").text = " ".join(f"{axis:.10g}" for axis in factor)
+        etree.SubElement(scale, "segment").text = body
+        etree.SubElement(scale, "apply").text = "true"
+    etree.indent(document)
+    path.write_bytes(etree.tostring(document, xml_declaration=True, encoding="UTF-8"))
 
 
 def _part(tool: Element, tag: str) -> Element | None:

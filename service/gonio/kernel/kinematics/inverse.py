@@ -58,7 +58,7 @@ def solve_motion(
     xyz_lab_m: Float[np.ndarray, "frame marker 3"],
     times_s: Float[np.ndarray, " frame"],
     *,
-    tolerance: float = 1e-6,
+    tolerance: float = 1e-5,
     max_iterations: int = 100,
 ) -> Motion:
     """Find the coordinates of every frame by weighted least squares.

@@ -104,9 +104,9 @@ def descend(
     ``observed`` (marker, 3) has NaN for a marker that was not seen, ``weights`` is (marker,). ``root_only`` moves the
     body as a whole; ``warm`` says that the start is a good guess, so that Newton's matrix serves at once.
 
-    Levenberg-Marquardt on Newton's matrix, or on Gauss and Newton's, which is never indefinite, while the last step was
-    large. Bounds by projection: a coordinate at its bound that would go on outwards is held. Gives the cost, the number
-    of iterations, and whether it converged.
+    Levenberg-Marquardt on Newton's matrix; on Gauss and Newton's while the last step was large. Bounds by projection: a
+    coordinate at its bound that would go on outwards is held. Gives the cost, the number of iterations, and whether it
+    converged.
     """
     for c in range(len(q)):
         q[c] = min(max(q[c], problem.coordinates[c].lower), problem.coordinates[c].upper)
@@ -115,26 +115,43 @@ def descend(
     for iteration in range(1, problem.max_iterations + 1):
         count = _choose_free(problem, root_only, q, work)
         while not _newton_step(count, damping, work):
-            damping = max(10.0 * damping, 1e-9)
-            if damping > 1e9:
+            if exact:  # far from the minimum Newton's matrix can be indefinite: Gauss and Newton's is not
+                exact = False
+                cost = linearise(problem, observed, weights, q, exact, work)
+            elif damping > 1e9:
                 return cost, iteration, False
+            else:
+                damping = max(10.0 * damping, 1e-9)
         size, clipped = _step_within_bounds(problem, count, q, work)
-        newton, exact = exact and not clipped, size < 0.2
+        if exact and not clipped and damping == 0.0 and 10.0 * size * size < problem.tolerance:
+            # An undamped Newton step squares the error (for bodies it stayed below 10 · step²): no need to look again.
+            copy_values(work.trial, q)
+            couple_coordinates(problem.tree, q, work.coordinates)
+            return cost - 0.5 * _decrease(count, work), iteration, True
+        exact = size < 0.2
         trial_cost = linearise(problem, observed, weights, work.trial, exact, work)
         if trial_cost <= cost * (1.0 + 1e-12) + 1e-18:
             copy_values(work.trial, q)
             cost = trial_cost
-            # Newton's steps square the error: for bodies it stayed below 10 · step². Damped or clipped ones need not.
-            quadratic = newton and damping == 0.0 and 10.0 * size * size < problem.tolerance
-            if quadratic or (size < problem.tolerance and damping < 1e-2):
+            if size < problem.tolerance and damping < 1e-2:
                 return cost, iteration, True
-            damping = 0.1 * damping if damping > 1e-9 else 0.0
+            damping = 0.01 * damping if damping > 1e-4 else 0.0
         else:
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e9:
                 return cost, iteration, False
             cost = linearise(problem, observed, weights, q, exact, work)
     return cost, problem.max_iterations, False
+
+
+@njit(cache=True, error_model="numpy")
+def _decrease(count: int, work: Workspace) -> float:
+    """Give −gradient · step: twice what a full Newton step takes off the cost."""
+    decrease = 0.0
+    for k in range(count):
+        unknown = work.unknowns[work.free[k]]
+        decrease -= unknown.gradient * unknown.step
+    return decrease
 
 
 @njit(cache=True, error_model="numpy")
@@ -179,16 +196,30 @@ def measure(problem: Problem, observed: Array, weights: Array, q: Array, told: A
     Also fill ``told`` (coordinate,): whether any of these markers moves with the coordinate.
     """
     tree = problem.tree
-    _linearise_markers(tree, observed, weights, q, False, work)
+    couple_coordinates(tree, q, work.coordinates)
+    pose_nodes(tree, q, work.coordinates, work.nodes)
+    for node in range(len(tree.nodes)):
+        work.composites[node].weight = 0.0
     count, square, point = 0, 0.0, np.empty(3)
     for marker in range(len(observed)):
+        given = tree.markers[marker]
         if weights[marker] > 0.0 and is_seen(observed[marker]):
-            place_marker(work.nodes, tree.markers[marker], point)
+            place_marker(work.nodes, given, point)
             count += 1
             for i in range(3):
                 square += (point[i] - observed[marker, i]) ** 2
+            if given.node >= 0:
+                work.composites[given.node].weight += 1.0
     for c in range(len(q)):
-        told[c] = work.unknowns[tree.couplings[c].driver].scale > 0.0
+        told[c] = False
+    for node in range(len(tree.nodes) - 1, -1, -1):
+        given, seen = tree.nodes[node], work.composites[node].weight > 0.0
+        if given.parent >= 0 and seen:
+            work.composites[given.parent].weight += 1.0
+        if given.driver >= 0 and seen:
+            told[given.driver] = True
+    for c in tree.coupling_order:
+        told[c] = told[tree.couplings[c].driver]
     return np.sqrt(square / count)
 
 
@@ -352,9 +383,9 @@ def _momentum(sums: Array, exact: bool, angular: Array, linear: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _choose_free(problem: Problem, root_only: bool, q: Array, work: Workspace) -> int:
-    """List the coordinates that may move now: observable ones that no bound holds. Gives their number."""
+    """List the coordinates that may move now, distal ones first: observable, and held by no bound. Gives their number."""
     count = 0
-    for c in range(len(q)):
+    for c in range(len(q) - 1, -1, -1):
         given, unknown = problem.coordinates[c], work.unknowns[c]
         movable = given.movable and (given.root or not root_only) and unknown.scale > 0.0
         held_below = q[c] <= given.lower and unknown.gradient > 0.0
@@ -380,34 +411,40 @@ def _newton_step(count: int, damping: float, work: Workspace) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def factorise(count: int, damping: float, work: Workspace) -> bool:
-    """Factorise H + damping · scale of the free coordinates by Cholesky; False if that is not positive definite."""
-    L, free = work.factor, work.free
+    """Factorise H + damping · scale of the free coordinates as Uᵀ U; False if that is not positive definite.
+
+    Rows are taken off the rows below them: that runs along memory, and where a limb has nothing to do with another one
+    the factor is 0 and the row is skipped. Distal coordinates come first (see :func:`_choose_free`), so that no such
+    zeros are lost (Featherstone 2008, ch. 8.5).
+    """
+    U, free = work.factor, work.free
     for i in range(count):
-        scale = work.unknowns[free[i]].scale
-        for j in range(i + 1):
-            entry = work.hessian[free[i], free[j]]
-            if i == j:
-                entry += (damping + 1e-12) * scale
-            for k in range(j):
-                entry -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = entry / L[j, j]
-            elif entry > 1e-14 * scale:
-                L[i, i] = np.sqrt(entry)
-            else:
-                return False
+        for j in range(i, count):
+            U[i, j] = work.hessian[free[i], free[j]]
+        U[i, i] += (damping + 1e-12) * work.unknowns[free[i]].scale
+    for i in range(count):
+        if not U[i, i] > 1e-14 * work.unknowns[free[i]].scale:
+            return False
+        inverse = 1.0 / np.sqrt(U[i, i])
+        for j in range(i, count):
+            U[i, j] *= inverse
+        for k in range(i + 1, count):
+            factor = U[i, k]
+            if factor != 0.0:
+                for j in range(k, count):
+                    U[k, j] -= factor * U[i, j]
     return True
 
 
 @njit(cache=True, error_model="numpy")
 def substitute(count: int, work: Workspace) -> None:
     """Replace ``work.column`` by the solution of the factorised system with it on the right."""
-    L, column = work.factor, work.column
+    U, column = work.factor, work.column
     for i in range(count):
-        for k in range(i):
-            column[i] -= L[i, k] * column[k]
-        column[i] /= L[i, i]
+        column[i] /= U[i, i]
+        for k in range(i + 1, count):
+            column[k] -= U[i, k] * column[i]
     for i in range(count - 1, -1, -1):
         for k in range(i + 1, count):
-            column[i] -= L[k, i] * column[k]
-        column[i] /= L[i, i]
+            column[i] -= U[i, k] * column[k]
+        column[i] /= U[i, i]
