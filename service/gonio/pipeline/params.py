@@ -36,10 +36,10 @@ class ReconstructionParameters:
     """How keypoints of several cameras become points in the lab."""
 
     method: Annotated[
-        Literal["linear", "reprojection", "robust"],
+        Literal["stereo", "linear3", "linear4", "linear", "reprojection", "robust"],
         Field(
-            description="A step of the ladder: linear least squares; confidence-weighted reprojection (Levenberg-"
-            "Marquardt); robust (camera-pair hypotheses, then Cauchy's loss)."
+            description="A step of the ladder: linear least squares over two (stereo), three, four or all cameras; "
+            "confidence-weighted reprojection (Levenberg-Marquardt); robust (camera-pair hypotheses, then Cauchy's loss)."
         ),
     ] = "robust"
     min_confidence: Annotated[

@@ -21,7 +21,7 @@ def solve(rig: Rig, uv: np.ndarray, confidence: np.ndarray, method: str = "robus
     return triangulate(projection_matrices(rig), focal_lengths_px(rig), uv, confidence, method=method)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("method", ["linear", "reprojection", "robust"])
+@pytest.mark.parametrize("method", ["stereo", "linear3", "linear4", "linear", "reprojection", "robust"])
 def test_perfect_observations_give_the_points(rig: Rig, method: str) -> None:
     solved = solve(rig, *observe(rig), method)
     # 1 µm: the step at which the solver stops (STEP_TOLERANCE_M); the linear solution is exact to rounding.
@@ -95,3 +95,15 @@ def test_covariance_is_the_scatter_that_noise_causes(rig: Rig) -> None:
     normalised = np.einsum("pi,pij,pj->p", error, np.linalg.inv(solved.covariance_m2), error)
     # Mean of 300 draws of chi²(3)/3 is 1 ± sqrt(2/900) = 0.05; the inflation by a point's own residuals lowers it.
     assert 0.6 < normalised.mean() / 3 < 1.15
+
+
+def test_each_step_of_the_ladder_is_better_than_the_one_before(rig: Rig) -> None:
+    uv, confidence = observe(rig, noise_px=6.0)
+    rng = np.random.default_rng(8)
+    wild = rng.random(uv.shape[:2]) < 0.05
+    uv[wild] += rng.normal(0, 100, (int(wild.sum()), 2))
+    error = {
+        method: float(np.linalg.norm(solve(rig, uv, confidence, method).xyz_lab_m - POINTS, axis=1).mean())
+        for method in ("stereo", "linear3", "linear4", "robust")
+    }
+    assert error["stereo"] > error["linear3"] > error["linear4"] > error["robust"]

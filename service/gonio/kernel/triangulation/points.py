@@ -1,9 +1,11 @@
 """Triangulate all keypoints of all frames, by a method chosen by name.
 
-The ladder, from the paper's first step to ours:
+The ladder, from the first step of the paper that gonio follows to ours:
 
-``linear``
-    Confidence-weighted linear least squares over all cameras.
+``stereo``
+    Linear least squares over the first two cameras (eqs. 3 and 4).
+``linear3``, ``linear4``, ``linear``
+    Confidence-weighted linear least squares over the first three, the first four, or all cameras.
 ``reprojection``
     The linear start, then confidence-weighted Levenberg-Marquardt on the reprojection error (the paper's eqs. 8 and 9).
 ``robust``
@@ -19,7 +21,9 @@ from gonio.kernel.parallel import over_blocks
 from gonio.kernel.triangulation.solve import BEHIND_CAMERA, TOO_FEW_CAMERAS, solve_points
 from gonio.records import record
 
-Method = Literal["linear", "reprojection", "robust"]
+Method = Literal["stereo", "linear3", "linear4", "linear", "reprojection", "robust"]
+
+CAMERAS_USED = {"stereo": 2, "linear3": 3, "linear4": 4}
 
 CAUCHY_SCALE_M = 0.03
 """Where the robust loss turns from square to logarithm: 30 mm at the point's depth.
@@ -71,6 +75,7 @@ def triangulate(
     the point has a NaN residual.
     """
     weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
+    weight[CAMERAS_USED.get(method, len(weight)) :] = 0.0
     seen = np.where(weight[..., None] > 0, uv_px, 0.0)
     points, cameras = uv_px.shape[1], uv_px.shape[0]
     xyz, hessian = np.empty((points, 3)), np.zeros((points, 3, 3))
@@ -78,10 +83,11 @@ def triangulate(
     projections, focal_px = projections.astype(float, order="C"), focal_px.astype(float, order="C")
     by_point, weights = np.ascontiguousarray(seen.transpose(1, 0, 2)), np.ascontiguousarray(weight.T)
     robust = method == "robust"
+    refined = robust or method == "reprojection"
 
     def solve(start: int, stop: int) -> None:
         solve_points(
-            projections, focal_px, by_point, weights, robust, method != "linear", scale_m if robust else np.inf,
+            projections, focal_px, by_point, weights, robust, refined, scale_m if robust else np.inf,
             start, stop, xyz, hessian, residual, status,
         )  # fmt: skip
 

@@ -1,0 +1,317 @@
+"""Motion straight from pixels: the body model fitted to all cameras' keypoints over the whole trial at once.
+
+Points that are triangulated one by one and then given to inverse kinematics lose what holds them together: one body, whose
+segments keep their length, that moves smoothly. Here every keypoint in every camera pulls at that one body. A limb that is
+hidden in two cameras for a while is held by its neighbours in space and in time; an outlier is outvoted by the rest of the
+body. The subject's geometry (segment lengths, where the detector puts its keypoints) and each camera's constant error are
+estimated along with the motion, once for the trial.
+
+What that does not solve: the absolute tilt of the pelvis. Hips and shoulders hardly tell it from a bent back, so pelvis and
+trunk keep the geometry they came with, and hip flexion has an offset that only a static trial can remove.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from gonio.kernel.body.forward import couple
+from gonio.kernel.geometry.cameras import projection_matrices
+from gonio.kernel.kinematics.pixel_priors import TrialPriors
+from gonio.kernel.kinematics.pixel_system import (
+    State,
+    Trial,
+    frame_covariance,
+    linearise,
+    moved,
+    personalise,
+    step,
+)
+from gonio.records import NOT_CONVERGED, SOLVED, TOO_FEW_MARKERS, BodyModel, Motion, Rig, record
+
+MIN_CONFIDENCE = 0.3
+WIDE_LOSS, LOSS = 4.0, 2.0
+"""Cauchy's scale in standard deviations: wide while the start is still off, then narrow."""
+
+TOLERANCE_RAD = 1e-5
+COST_TOLERANCE = 1e-5
+"""The cost is half a chi-square: in a trial of a thousand observations a change by this share is a hundredth of a standard
+deviation of one unknown. Some unknowns (the turn of a straight arm) are hardly seen at all and may go on wandering."""
+MAX_ITERATIONS = 40
+LARGEST_STEP_RAD = 0.6
+MOST_SHARED_FRAMES = 400
+"""Scales, offsets and biases are estimated on at most so many frames: more hardly sharpen them and cost time and memory."""
+
+LONGEST_BLIND_S = 0.2
+"""Farther from a frame in which the subject was seen, the smoothness prior alone speaks: those frames are NaN."""
+
+SWAP_GAIN = 4.0
+
+
+@record
+class PixelFit:
+    """The motion, the subject's own body, and what the fit says of itself.
+
+    ``sigma_px`` is an observation's standard deviation at confidence 1, by camera. ``inlier_share`` is the share of the
+    observations that keep more than half their weight. ``correlation_frames`` is by how many frames the residuals repeat
+    each other; the covariance counts with that. ``bias_px`` is each camera's constant error for each keypoint.
+    """
+
+    motion: Motion
+    model: BodyModel
+    log_scale: Float[np.ndarray, " group"]
+    offset_m: Float[np.ndarray, "marker 3"]
+    bias_px: Float[np.ndarray, "camera marker 2"]
+    sigma_px: Float[np.ndarray, " camera"]
+    residual_px: Float[np.ndarray, "camera frame marker 2"]
+    inlier_share: float
+    correlation_frames: float
+    swapped: Bool[np.ndarray, "camera frame"]
+    converged: bool
+    iterations: int
+
+
+def fit_pixels(
+    model: BodyModel,
+    rig: Rig,
+    uv_px: Float[np.ndarray, "camera frame marker 2"],
+    confidence: Float[np.ndarray, "camera frame marker"],
+    start: Motion,
+    priors: TrialPriors,
+) -> PixelFit:
+    """Fit a body model to a trial's keypoints.
+
+    Args:
+        model: The body, scaled to the subject; its markers are the keypoints.
+        rig: The cameras.
+        uv_px: Undistorted keypoints in the order of the model's markers; NaN is missing.
+        confidence: Theirs; below 0.3 a keypoint is not used.
+        start: The motion to start from, of the same model: its root should face the right way; NaN is filled.
+        priors: What is believed beforehand.
+    """
+    usable = np.isfinite(uv_px).all(axis=-1) & (confidence >= MIN_CONFIDENCE)
+    trial = Trial(
+        model=model,
+        projections=projection_matrices(rig),
+        uv_px=np.where(usable[..., None], uv_px, 0.0),
+        confidence=np.where(usable, confidence, 0.0),
+        consecutive=np.ones(uv_px.shape[1], dtype=bool),
+        priors=priors,
+        free=np.flatnonzero((model.coordinates.coupled_to < 0) & ~model.coordinates.locked & ~priors.held),
+    )
+    # The blocks are small: BLAS's own threads would wait for each other longer than they work, thirty times on a busy machine.
+    with threadpool_limits(limits=1, user_api="blas"):
+        state, _, first, _ = _minimise(trial, _start(trial, start), WIDE_LOSS, shared=False)
+        state, sigma_px, second, _ = _minimise(trial, state, LOSS, shared=False)
+        trial, swapped = _unswap_legs(trial, state, sigma_px)
+        state, sigma_px, third, converged = _fit_shared(trial, state)
+        return _report(trial, state, sigma_px, start, swapped, converged, first + second + third)
+
+
+def _fit_shared(trial: Trial, state: State) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
+    """Estimate what is shared together with the motion; in a long trial on a sample of it, then the motion of all of it."""
+    frames = len(state.q)
+    if frames <= MOST_SHARED_FRAMES:
+        return _minimise(trial, state, LOSS, shared=True)
+    chosen = _windows(frames)
+    sample = replace(
+        trial,
+        uv_px=trial.uv_px[:, chosen],
+        confidence=trial.confidence[:, chosen],
+        consecutive=np.r_[True, np.diff(chosen) == 1],
+    )
+    fitted, _, first, _ = _minimise(sample, replace(state, q=state.q[chosen]), LOSS, shared=True)
+    state, sigma_px, second, converged = _minimise(trial, replace(fitted, q=state.q), LOSS, shared=False)
+    return state, sigma_px, first + second, converged
+
+
+def _windows(frames: int) -> np.ndarray:
+    """Choose ten stretches of consecutive frames, spread over the trial."""
+    length = MOST_SHARED_FRAMES // 10
+    starts = np.linspace(0, frames - length, 10).astype(int)
+    return np.unique(np.concatenate([np.arange(first, first + length) for first in starts]))
+
+
+def _start(trial: Trial, start: Motion) -> State:
+    """Fill the gaps of the starting motion: between known frames by straight lines, else with the default."""
+    q = start.values.copy()
+    time = np.arange(len(q))
+    for column, default in enumerate(trial.model.coordinates.default):
+        known = np.isfinite(q[:, column])
+        q[:, column] = np.interp(time, time[known], q[known, column]) if known.any() else default
+    cameras, _, markers = trial.confidence.shape
+    return State(
+        q=q,
+        log_scale=np.zeros(len(trial.priors.group_sd)),
+        offset_m=np.zeros((markers, 3)),
+        bias_px=np.zeros((cameras, markers, 2)),
+    )
+
+
+def _minimise(
+    trial: Trial, state: State, loss_scale: float, *, shared: bool
+) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
+    """Levenberg-Marquardt; the noise level is estimated where it starts and once more where it has settled."""
+    sigma_px = _noise_px(trial, state)
+    equations = linearise(trial, state, sigma_px, loss_scale, shared=shared)
+    damping, settled = 1e-4, False
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        change = step(trial, equations, damping, shared=shared)
+        largest = float(np.abs(change.q).max())
+        if largest > LARGEST_STEP_RAD:
+            change = replace(change, q=change.q * (LARGEST_STEP_RAD / largest))
+        trial_state = moved(state, change)
+        trial_equations = linearise(trial, trial_state, sigma_px, loss_scale, shared=shared)
+        gain = equations.cost - trial_equations.cost
+        if gain >= 0:
+            state, equations, damping = trial_state, trial_equations, max(0.2 * damping, 1e-7)
+        else:
+            damping *= 10.0
+        if largest < TOLERANCE_RAD or abs(gain) < COST_TOLERANCE * equations.cost:
+            if settled:
+                return state, sigma_px, iteration, True
+            settled = True
+            sigma_px = _noise_px(trial, state)
+            equations = linearise(trial, state, sigma_px, loss_scale, shared=shared)
+    return state, sigma_px, MAX_ITERATIONS, False
+
+
+def _noise_px(trial: Trial, state: State) -> Float[np.ndarray, " camera"]:
+    """Estimate each camera's standard deviation at confidence 1 robustly: half of all |e|² of two normals lie below 1.386."""
+    ones = np.ones(len(trial.projections))
+    error = linearise(trial, state, ones, 1e6, shared=False).data.error_px
+    weighted = trial.confidence**2 * (error**2).sum(axis=-1)
+    seen = trial.confidence > 0
+    pooled = np.sqrt(np.nanmedian(weighted[seen]) / 1.386) if seen.any() else 1.0
+    levels = [
+        np.sqrt(np.nanmedian(w[s]) / 1.386) if s.sum() > 50 else pooled for w, s in zip(weighted, seen, strict=True)
+    ]
+    return np.maximum(levels, 0.05)
+
+
+def _unswap_legs(
+    trial: Trial, state: State, sigma_px: Float[np.ndarray, " camera"]
+) -> tuple[Trial, Bool[np.ndarray, "camera frame"]]:
+    """Swap the legs back in the camera frames where the detector took the left for the right one."""
+    names = trial.model.markers.names
+    stems = ("hip", "knee", "ankle", "heel", "foot", "toe")
+    right = [
+        i
+        for i, n in enumerate(names)
+        if "right" in n and any(s in n for s in stems) and n.replace("right", "left") in names
+    ]
+    cameras, frames, _ = trial.confidence.shape
+    if not right:
+        return trial, np.zeros((cameras, frames), dtype=bool)
+    left = [names.index(names[i].replace("right", "left")) for i in right]
+    order = np.arange(len(names))
+    order[right], order[left] = left, right
+    crossed = replace(trial, uv_px=trial.uv_px[:, :, order], confidence=trial.confidence[:, :, order])
+    legs = right + left
+
+    def cost(of: Trial) -> Float[np.ndarray, "camera frame"]:
+        error = linearise(of, state, sigma_px, LOSS, shared=False).data.error_px
+        squared = (error**2).sum(axis=-1) * (of.confidence / sigma_px[:, None, None]) ** 2
+        c2 = LOSS**2
+        return np.nansum(0.5 * c2 * np.log1p(squared[..., legs] / c2), axis=-1)
+
+    swapped = cost(trial) - cost(crossed) > SWAP_GAIN
+    choose = swapped[:, :, None]
+    return (
+        replace(
+            trial,
+            uv_px=np.where(choose[..., None], crossed.uv_px, trial.uv_px),
+            confidence=np.where(choose, crossed.confidence, trial.confidence),
+        ),
+        swapped,
+    )
+
+
+def _report(
+    trial: Trial,
+    state: State,
+    sigma_px: Float[np.ndarray, " camera"],
+    start: Motion,
+    swapped: Bool[np.ndarray, "camera frame"],
+    converged: bool,
+    iterations: int,
+) -> PixelFit:
+    """Pack the result, with a covariance that knows how much the residuals repeat each other."""
+    frames, count = len(state.q), len(trial.model.coordinates.names)
+    shared = frames <= MOST_SHARED_FRAMES
+    equations = linearise(trial, state, sigma_px, LOSS, shared=shared)
+    error = equations.data.error_px
+    whitened = error * (trial.confidence / sigma_px[:, None, None])[..., None]
+    squared = (whitened**2).sum(axis=-1)
+    weight = 1.0 / (1.0 + squared / LOSS**2)
+    seen = trial.confidence > 0
+    repeat = residual_correlation_frames(whitened, (weight > 0.5) & seen)
+    share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * repeat)
+    covariance, _ = frame_covariance(trial, equations, share, shared=shared)
+    full = np.zeros((frames, count, count))
+    full[:, trial.free[:, None], trial.free] = covariance
+    model = personalise(trial.model, trial.priors, state)
+    blind = _blind(seen.any(axis=2).sum(axis=0) >= 2, start.times_s)
+    status = np.where(blind, TOO_FEW_MARKERS, SOLVED if converged else NOT_CONVERGED).astype(np.uint8)
+    return PixelFit(
+        motion=Motion(
+            coordinate_names=trial.model.coordinates.names,
+            rotational=trial.model.coordinates.rotational,
+            times_s=start.times_s,
+            values=np.where(blind[:, None], np.nan, couple(model, state.q)),
+            status=status,
+            iterations=np.full(frames, iterations),
+            residual_rms_m=start.residual_rms_m,
+            covariance=np.where(blind[:, None, None], np.nan, full),
+        ),
+        model=model,
+        log_scale=state.log_scale,
+        offset_m=state.offset_m,
+        bias_px=state.bias_px,
+        sigma_px=sigma_px,
+        residual_px=error,
+        inlier_share=float((weight[seen] > 0.5).mean()) if seen.any() else 0.0,
+        correlation_frames=repeat,
+        swapped=swapped,
+        converged=converged,
+        iterations=iterations,
+    )
+
+
+def _blind(seen: Bool[np.ndarray, " frame"], times_s: Float[np.ndarray, " frame"]) -> Bool[np.ndarray, " frame"]:
+    """Mark the frames that are too far from any in which two cameras saw the subject."""
+    known = np.flatnonzero(seen)
+    if known.size == 0:
+        return np.ones(len(seen), dtype=bool)
+    after = np.searchsorted(known, np.arange(len(seen)))
+    before, after = known[np.maximum(after - 1, 0)], known[np.minimum(after, known.size - 1)]
+    away = np.minimum(np.abs(times_s - times_s[before]), np.abs(times_s[after] - times_s))
+    return away > LONGEST_BLIND_S / 2
+
+
+def residual_correlation_frames(
+    whitened: Float[np.ndarray, "camera frame marker 2"], inlier: Bool[np.ndarray, "camera frame marker"]
+) -> float:
+    """Give by how many frames inlying residuals repeat each other: 1 + 2 Σ ρ(lag), up to the first ρ below 0.05."""
+    values = np.where(inlier[..., None], whitened, 0.0)
+    counts = inlier.astype(float)
+    variance = (values**2).sum() / max(2 * counts.sum(), 1.0)
+    total = 1.0
+    for lag in range(1, whitened.shape[1] // 4):
+        pairs = (counts[:, lag:] * counts[:, :-lag]).sum()
+        if pairs == 0 or variance == 0:
+            break
+        rho = (values[:, lag:] * values[:, :-lag]).sum() / (2 * pairs * variance)
+        if rho < 0.05:
+            break
+        total += 2 * float(rho)
+    return total
+
+
+def loss_efficiency(whitened: Float[np.ndarray, "observation 2"], weight: Float[np.ndarray, " observation"]) -> float:
+    """Give κ = E[ψ²] E[w] / E[ψ']²: how the robust loss changes the covariance [Huber 1981, §7.6]."""
+    squared = (whitened**2).sum(axis=-1)
+    psi2 = np.nanmean(weight**2 * squared) / 2
+    slope = np.nanmean(weight * (1.0 - squared / (LOSS**2 + squared)))
+    return float(psi2 * np.nanmean(weight) / slope**2)

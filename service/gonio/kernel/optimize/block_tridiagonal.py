@@ -1,0 +1,111 @@
+"""Solve large symmetric systems that are block tridiagonal with a border: a trial's frames, and what all frames share.
+
+::
+
+    | H   B | | x |   | g |     H: block tridiagonal, positive definite (frames that know their neighbours)
+    | B'  C | | y | = | h |     B, C: the border (parameters of the whole trial)
+
+The cost is linear in the number of blocks. The inverse is wanted only near its diagonal, as covariances, and found there by
+Takahashi's recursion [Takahashi, Fagan & Chin 1973; block form as in Rue & Held 2005, §2.4].
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cholesky, solve_triangular
+
+
+@dataclass(frozen=True)
+class Factor:
+    """The Cholesky factor of a block tridiagonal matrix: ``L_i`` on the diagonal, ``W_i`` below it."""
+
+    diagonal: Float[np.ndarray, "block size size"]
+    below: Float[np.ndarray, "blocks_less_1 size size"]
+
+    def solve(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
+        """Give ``H⁻¹ right``."""
+        x = np.empty_like(right)
+        blocks = len(self.diagonal)
+        for i in range(blocks):
+            carried = right[i] - self.below[i - 1] @ x[i - 1] if i else right[i]
+            x[i] = solve_triangular(self.diagonal[i], carried, lower=True, check_finite=False)
+        for i in range(blocks - 1, -1, -1):
+            carried = x[i] - self.below[i].T @ x[i + 1] if i < blocks - 1 else x[i]
+            x[i] = solve_triangular(self.diagonal[i], carried, lower=True, trans="T", check_finite=False)
+        return x
+
+    def inverse_diagonal(self) -> Float[np.ndarray, "block size size"]:
+        """Give the diagonal blocks of ``H⁻¹``."""
+        blocks, size = self.diagonal.shape[:2]
+        inverse = np.empty_like(self.diagonal)
+        identity = np.eye(size)
+        for i in range(blocks - 1, -1, -1):
+            own = solve_triangular(self.diagonal[i], identity, lower=True, check_finite=False)
+            inverse[i] = own.T @ own
+            if i < blocks - 1:
+                gain = own.T @ self.below[i].T  # L_i⁻ᵀ W_iᵀ
+                inverse[i] += gain @ inverse[i + 1] @ gain.T
+        return inverse
+
+
+def factorise(
+    diagonal: Float[np.ndarray, "block size size"], below: Float[np.ndarray, "blocks_less_1 size size"]
+) -> Factor:
+    """Factorise; ``below[i]`` is the block of rows i + 1 and columns i.
+
+    Raises:
+        numpy.linalg.LinAlgError: the matrix is not positive definite.
+    """
+    L, W = np.empty_like(diagonal), np.empty_like(below)
+    for i in range(len(diagonal)):
+        carried = diagonal[i] - W[i - 1] @ W[i - 1].T if i else diagonal[i]
+        L[i] = cholesky(carried, lower=True, check_finite=False)
+        if i < len(below):
+            W[i] = solve_triangular(L[i], below[i].T, lower=True, check_finite=False).T
+    return Factor(L, W)
+
+
+@dataclass(frozen=True)
+class BorderedFactor:
+    """A factorised bordered system: ``carried = H⁻¹ B`` and the border's own factor (Schur's complement)."""
+
+    inner: Factor
+    border: Float[np.ndarray, "block size shared"]
+    carried: Float[np.ndarray, "block size shared"]
+    schur: Float[np.ndarray, "shared shared"]
+
+    def solve(
+        self, g: Float[np.ndarray, "block size"], h: Float[np.ndarray, " shared"]
+    ) -> tuple[Float[np.ndarray, "block size"], Float[np.ndarray, " shared"]]:
+        """Give ``x`` and ``y``."""
+        inner = self.inner.solve(g[..., None])[..., 0]
+        rest = h - self.border.reshape(-1, len(h)).T @ inner.ravel()
+        y = solve_triangular(self.schur, rest, lower=True, check_finite=False)
+        y = solve_triangular(self.schur, y, lower=True, trans="T", check_finite=False)
+        return inner - self.carried @ y, y
+
+    def inverse_diagonal(self) -> tuple[Float[np.ndarray, "block size size"], Float[np.ndarray, "shared shared"]]:
+        """Give the diagonal blocks of the inverse: of the frames (what they share being unknown too), and of the border."""
+        own = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True, check_finite=False)
+        shared = own.T @ own
+        spread = self.carried @ own.T
+        return self.inner.inverse_diagonal() + spread @ spread.transpose(0, 2, 1), shared
+
+
+def factorise_bordered(
+    diagonal: Float[np.ndarray, "block size size"],
+    below: Float[np.ndarray, "blocks_less_1 size size"],
+    border: Float[np.ndarray, "block size shared"],
+    corner: Float[np.ndarray, "shared shared"],
+) -> BorderedFactor:
+    """Factorise a bordered system.
+
+    Raises:
+        numpy.linalg.LinAlgError: the matrix is not positive definite.
+    """
+    inner = factorise(diagonal, below)
+    carried = inner.solve(border)
+    shared = len(corner)
+    complement = corner - border.reshape(-1, shared).T @ carried.reshape(-1, shared)
+    return BorderedFactor(inner, border, carried, cholesky(complement, lower=True, check_finite=False))
