@@ -1,0 +1,240 @@
+"""Find by how much each camera runs late, together with where it stands, from the subject's own movement.
+
+A wrong pose and a wrong clock look alike in a single frame: a calibration that has drifted makes a synchronous camera seem
+frames late. So the delays are never found alone. For each hypothesis of whole frames the poses are adjusted anew and the
+disagreement that remains is compared; what is left of a frame is solved for along with the poses.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gonio.kernel.calibration.bundle import MAX_ITERATIONS, Bundle, adjust_poses
+from gonio.kernel.calibration.person import SAMPLE_HZ, SCALE_M, SIGMA_PX, held_out_error_px
+from gonio.kernel.geometry.cameras import undistort_rig
+from gonio.kernel.smoothing.filters import low_pass
+from gonio.records import ImagePoints, Rig, record
+
+Status = Literal["synchronous", "corrected", "unknown"]
+
+MAX_DELAY_S = 0.5
+"""Half a gait cycle: a walk looks nearly the same a whole cycle later, and nothing in it could tell."""
+
+SMALLEST_DELAY_FRAMES = 0.3
+"""Delays below this are left alone: they shift a foot at 5 m/s by less than the detector's own error."""
+
+LARGEST_SD_FRAMES = 0.25
+SMALLEST_GAIN = 0.03
+"""A correction must be known to a quarter of a frame, and lower the held-out error by this share."""
+
+VELOCITY_HZ = 6.0
+"""Noise in the velocities makes every delay look smaller than it is; so they are taken from smoothed tracks."""
+
+SMALLEST_REST_FRAMES = 0.2
+"""Where whole frames fit this well they are taken as they are: mixing two frames would cost more than it mends."""
+
+MOST_FRAMES = 60
+SEARCH_ITERATIONS = 6  # of the pose adjustment for a hypothesis: its cost is then within a few per cent of the end
+COARSE_STEPS = 12
+
+
+@record
+class Synchronization:
+    """The cameras' delays against the first one, seconds; positive runs late.
+
+    ``status`` is ``synchronous`` (measured, and too small to matter), ``corrected``, or ``unknown``: the movement does not
+    tell, and the delays are 0. ``sd_s`` says how well each is known; the errors are mean reprojection errors of moments
+    that were not used, before and after.
+    """
+
+    status: Status
+    delay_s: Float[np.ndarray, " camera"]
+    sd_s: Float[np.ndarray, " camera"]
+    error_before_px: float
+    error_after_px: float
+
+
+@dataclass(frozen=True)
+class _Streams:
+    """The keypoints on their way through the search: undistorted, weighted, with their image velocities."""
+
+    rig: Rig
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"]
+    velocity_px_s: Float[np.ndarray, "camera frame keypoint 2"]
+    weight: Float[np.ndarray, "camera frame keypoint"]
+    rate_hz: float
+    reach: int  # the largest lag in frames, so that every hypothesis is judged on the same frames
+
+    def frames(self, held_out: bool) -> Int[np.ndarray, " chosen"]:
+        """Choose the frames to solve on, or those to judge on: every other one of a sample."""
+        inner = np.arange(self.reach, self.uv_px.shape[1] - self.reach)
+        stride = max(1, round(self.rate_hz / SAMPLE_HZ / 2), int(np.ceil(len(inner) / (2 * MOST_FRAMES))))
+        return inner[::stride][int(held_out) :: 2]
+
+    def at(
+        self, values: np.ndarray, lags: Int[np.ndarray, " camera"], frames: Int[np.ndarray, " chosen"]
+    ) -> np.ndarray:
+        """Take each camera's values where it shows the given frames: ``lag`` frames later for a camera that runs late."""
+        return np.stack([of_camera[frames + lag] for of_camera, lag in zip(values, lags, strict=True)])
+
+
+def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> Synchronization:
+    """Estimate the delays of all cameras against the first one.
+
+    With fewer than three cameras a delay and a wrong pose can't be told apart, and in a clip shorter than a few tenths of a
+    second nothing can be told: ``unknown``.
+    """
+    rate_hz, frames = keypoints.timebase.rate_hz, keypoints.uv_px.shape[1]
+    reach = min(round(MAX_DELAY_S * rate_hz), frames // 6)
+    if len(rig.cameras) < 3 or reach < 2:
+        return _unknown(rig)
+    weight = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)
+    uv_px = undistort_rig(rig, keypoints.uv_px)
+    velocity = np.full_like(uv_px, np.nan)
+    smooth = np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
+    velocity[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) * rate_hz / 2
+    streams = _Streams(rig, uv_px, velocity, weight, rate_hz, reach)
+    none = np.zeros(len(rig.cameras), dtype=int)
+    lags = none
+    if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
+        lags = _search(streams)
+    return _judge(streams, lags, *_resolve(streams, lags))
+
+
+def shift(keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"]) -> ImagePoints:
+    """Put all cameras on the first one's clock: by whole frames, and between two frames by straight lines.
+
+    What would lie beyond the ends of a camera's recording, or beside a gap, is missing.
+    """
+    frames = keypoints.uv_px.shape[1]
+    uv_px, confidence = np.full_like(keypoints.uv_px, np.nan), np.zeros_like(keypoints.confidence)
+    for camera, delay in enumerate(delay_s * keypoints.timebase.rate_hz):
+        place = np.arange(frames) + delay
+        before = np.floor(place + 1e-9).astype(int)
+        part = np.clip(place - before, 0.0, 1.0)
+        part[part < 1e-6] = 0.0
+        inside = (before >= 0) & (before + (part > 0) < frames)
+        a, b = before[inside], np.minimum(before[inside] + 1, frames - 1)
+        share = part[inside]
+        mixed = (1 - share)[:, None, None] * keypoints.uv_px[camera, a]
+        mixed += np.where(share[:, None, None] > 0, share[:, None, None] * keypoints.uv_px[camera, b], 0.0)
+        trust = np.where(
+            share[:, None] > 0,
+            np.minimum(keypoints.confidence[camera, a], keypoints.confidence[camera, b]),
+            keypoints.confidence[camera, a],
+        )
+        known = np.isfinite(mixed).all(axis=-1)
+        uv_px[camera, inside] = np.where(known[..., None], mixed, np.nan)
+        confidence[camera, inside] = np.where(known, trust, 0.0)
+    return replace(keypoints, uv_px=uv_px, confidence=confidence)
+
+
+def _unknown(rig: Rig) -> Synchronization:
+    cameras = len(rig.cameras)
+    return Synchronization(
+        status="unknown",
+        delay_s=np.zeros(cameras),
+        sd_s=np.full(cameras, np.inf),
+        error_before_px=np.nan,
+        error_after_px=np.nan,
+    )
+
+
+def _solve(
+    streams: _Streams,
+    lags: Int[np.ndarray, " camera"],
+    rest_s: Float[np.ndarray, " camera"] | None = None,
+    *,
+    delays: bool,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Bundle:
+    """Adjust the poses with each camera shifted by its lag and rest; with ``delays``, also find what is still left."""
+    frames, cameras = streams.frames(held_out=False), len(lags)
+    velocity = streams.at(streams.velocity_px_s, lags, frames)
+    uv_px = streams.at(streams.uv_px, lags, frames)
+    if rest_s is not None:
+        uv_px = uv_px + rest_s[:, None, None, None] * velocity
+    return adjust_poses(
+        streams.rig,
+        uv_px.reshape(cameras, -1, 2),
+        streams.at(streams.weight, lags, frames).reshape(cameras, -1),
+        sigma_px=SIGMA_PX,
+        scale_m=SCALE_M,
+        velocity_px_s=velocity.reshape(cameras, -1, 2) if delays else None,
+        delay_prior_s=2.0 / streams.rate_hz,
+        max_iterations=max_iterations,
+    )
+
+
+def _resolve(streams: _Streams, lags: Int[np.ndarray, " camera"]) -> tuple[Float[np.ndarray, " camera"], Bundle]:
+    """Find the part of a frame that whole lags leave, in a few rounds: each finds most of what the one before left."""
+    rest_s = np.zeros(len(lags))
+    bundle = _solve(streams, lags, rest_s, delays=True)
+    for _ in range(4):
+        rest_s = rest_s + bundle.delay_s
+        if np.abs(bundle.delay_s).max() * streams.rate_hz < 0.02:
+            break
+        bundle = _solve(streams, lags, rest_s, delays=True)
+    if np.abs(rest_s).max() * streams.rate_hz < SMALLEST_REST_FRAMES:
+        return np.zeros(len(lags)), _solve(streams, lags, delays=True)
+    return rest_s, bundle
+
+
+def _search(streams: _Streams) -> Int[np.ndarray, " camera"]:
+    """Find the whole-frame lags by coordinate descent: one camera at a time, coarse steps first, until none improves."""
+    lags = np.zeros(len(streams.rig.cameras), dtype=int)
+    costs: dict[tuple[int, ...], float] = {}
+
+    def cost(trial: Int[np.ndarray, " camera"]) -> float:
+        key = tuple(int(lag) for lag in trial)
+        if key not in costs:
+            costs[key] = _solve(streams, trial, delays=False, max_iterations=SEARCH_ITERATIONS).cost
+        return costs[key]
+
+    step, span = max(1, 2 * streams.reach // COARSE_STEPS), streams.reach
+    while True:
+        improving = True
+        while improving:
+            before = lags
+            for camera in range(1, len(lags)):
+                near = np.arange(lags[camera] - span, lags[camera] + span + 1, step)
+                for lag in near[np.abs(near) <= streams.reach]:
+                    trial = np.where(np.arange(len(lags)) == camera, lag, lags)
+                    lags = trial if cost(trial) < cost(lags) else lags
+            improving = not np.array_equal(before, lags)
+        if step == 1:
+            return lags
+        step, span = max(1, step // 3), step
+
+
+def _judge(
+    streams: _Streams, lags: Int[np.ndarray, " camera"], rest_s: Float[np.ndarray, " camera"], bundle: Bundle
+) -> Synchronization:
+    """Decide whether the movement tells the delays, and whether they matter."""
+    cameras = len(lags)
+    delay_s = lags / streams.rate_hz + rest_s
+    # Keypoints of one limb and frames of one moment repeat each other's errors: a tenth of them are news.
+    sd_s = 3.0 * bundle.delay_sd_s
+    frames = streams.frames(held_out=True)
+
+    def error(rig: Rig, lag: Int[np.ndarray, " camera"], rest_s: Float[np.ndarray, " camera"]) -> float:
+        uv = streams.at(streams.uv_px, lag, frames)
+        uv = uv + rest_s[:, None, None, None] * np.nan_to_num(streams.at(streams.velocity_px_s, lag, frames))
+        return held_out_error_px(rig, uv, streams.at(streams.weight, lag, frames))
+
+    none = np.zeros(cameras, dtype=int)
+    before = error(_solve(streams, none, delays=False).rig, none, np.zeros(cameras))
+    after = error(bundle.rig, lags, rest_s)
+    known = bool((sd_s[1:] * streams.rate_hz < LARGEST_SD_FRAMES).all())
+    large = bool(np.abs(delay_s).max() * streams.rate_hz > SMALLEST_DELAY_FRAMES)
+    if not known or (large and not after < (1 - SMALLEST_GAIN) * before):
+        return replace(_unknown(streams.rig), error_before_px=before, error_after_px=after, sd_s=sd_s)
+    return Synchronization(
+        status="corrected" if large else "synchronous",
+        delay_s=delay_s if large else np.zeros(cameras),
+        sd_s=sd_s,
+        error_before_px=before,
+        error_after_px=after,
+    )
