@@ -21,7 +21,7 @@ from gonio.pipeline.body import fit_motion, markerset_for, scale_to_subject
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.params import Parameters, Subject
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
+from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import key_lines, load_report, write_report
 from gonio.pipeline.report_schema import report_schema
 from gonio.pipeline.run import CaptureFile, LocalRunner
@@ -81,6 +81,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     points = film(rig, marker_positions(model, gait(model)), model.markers.names, noise_px=2.0)
     chosen = Parameters(subject=Subject(mass_kg=72.6, sex="male"))
     runner = LocalRunner()
+    delays, points = runner("synchronization", lambda _: synchronize(points, rig, chosen.reconstruction))
     refined = runner("cameras", lambda _: refine_cameras(points, rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(points, refined.rig, chosen.reconstruction))
     smoothed = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
@@ -109,6 +110,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         keypoints=Keypoints(
             points=points, pictures=tuple(pictures), picture_frame=60, picture_scale=(0.5,) * len(pictures)
         ),
+        synchronization=delays,
         refinement=refined,
         raw=raw,
         points=smoothed,

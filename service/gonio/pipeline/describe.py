@@ -12,6 +12,7 @@ import numpy as np
 
 from gonio.kernel.calibration.person import PersonRefinement
 from gonio.kernel.kinematics.clinical import clinical_deg, find_clinical_angles
+from gonio.kernel.synchronization.delays import Synchronization
 from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.params import Parameters, parameters_document
@@ -49,6 +50,7 @@ class Analysis:
     parameters: Parameters
     capture: Capture
     keypoints: Keypoints
+    synchronization: Synchronization
     refinement: PersonRefinement
     raw: Reconstructed
     points: LabPoints
@@ -91,6 +93,7 @@ def describe_camera(analysis: Analysis, camera: int) -> CameraReport:
         bias_u_px=number(bias[0]),
         bias_v_px=number(bias[1]),
         rejected_fraction=round(float(rejected), 4),
+        delay_ms=number(1e3 * analysis.synchronization.delay_s[camera]),
         corrected_by_mm=number(1e3 * analysis.refinement.moved_m[camera], 1),
         corrected_by_deg=number(np.rad2deg(analysis.refinement.turned_rad[camera])),
     )
@@ -107,6 +110,7 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
         reprojection_mean_px=number(mean(error_px)),
         reprojection_median_px=number(median(error_px)),
         disagreement_median_mm=number(1e3 * median(analysis.raw.miss_m)),
+        synchronization=analysis.synchronization.status,
         cameras_refined=analysis.refinement.kept,
         held_out_before_px=number(analysis.refinement.error_before_px),
         held_out_after_px=number(analysis.refinement.error_after_px),

@@ -78,6 +78,20 @@ KINDS: dict[str, Kind] = {
         "Keep bystanders out of the picture: they hide the subject.",
         "people",
     ),
+    "cameras-not-synchronous": Kind(
+        "warning",
+        "synchronization",
+        "Camera {where} runs {value:+.0f} ms late against the first camera; this was found from the subject's movement and "
+        "corrected.",
+        "Trigger the cameras together, or film a sharp event that all of them see.",
+        "ms",
+    ),
+    "synchronization-unknown": Kind(
+        "info",
+        "synchronization",
+        "The subject moved too little to tell whether the cameras run together; they were taken as synchronous.",
+        "Let the subject walk or swing an arm for some seconds, or trigger the cameras together.",
+    ),
     "cameras-refined": Kind(
         "warning",
         "cameras",

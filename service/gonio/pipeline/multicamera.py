@@ -9,7 +9,7 @@ from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.params import parse_parameters
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
+from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
 from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
 
@@ -38,8 +38,11 @@ def analyse(
     keypoints = runner(
         "keypoints", lambda progress: find_keypoints(capture, chosen.keypoints.model, output_dir, progress)
     )
-    refined = runner("cameras", lambda _: refine_cameras(keypoints.points, capture.rig, chosen.reconstruction))
-    raw = runner("triangulation", lambda _: reconstruct(keypoints.points, refined.rig, chosen.reconstruction))
+    delays, synchronous = runner(
+        "synchronization", lambda _: synchronize(keypoints.points, capture.rig, chosen.reconstruction)
+    )
+    refined = runner("cameras", lambda _: refine_cameras(synchronous, capture.rig, chosen.reconstruction))
+    raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
     points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject))
     motion = runner("kinematics", lambda _: fit_motion(body, points))
@@ -49,6 +52,7 @@ def analyse(
         parameters=chosen,
         capture=capture,
         keypoints=keypoints,
+        synchronization=delays,
         refinement=refined,
         raw=raw,
         points=points,

@@ -45,6 +45,10 @@ class ReconstructionParameters:
     min_confidence: Annotated[
         float, Field(ge=0, lt=1, description="Keypoints that the model trusts less are not used.")
     ] = 0.5
+    synchronization: Annotated[
+        Literal["estimate", "hardware"],
+        Field(description="Estimate the cameras' delays from the subject's movement, or trust a common trigger."),
+    ] = "estimate"
     refine_cameras: Annotated[
         bool,
         Field(

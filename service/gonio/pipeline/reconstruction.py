@@ -1,4 +1,4 @@
-"""Stages ``cameras``, ``triangulation`` and ``smoothing``: from keypoints in the images to points in the lab, judged."""
+"""From keypoints in the images to points in the lab, judged: stages ``synchronization`` to ``smoothing``."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from gonio.kernel.calibration.person import PersonRefinement, refine_on_person, 
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
 from gonio.kernel.geometry.transforms import apply, rotation_about_y, transform
 from gonio.kernel.smoothing.filters import low_pass, median_filter, median_window
+from gonio.kernel.synchronization.delays import Synchronization, estimate_delays, shift, trusted
 from gonio.kernel.triangulation.points import triangulate
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import ReconstructionParameters
@@ -43,6 +44,24 @@ class Reconstruction:
     points: LabPoints
     camera_weight: Float[np.ndarray, "camera frame keypoint"]
     miss_m: Float[np.ndarray, "camera frame keypoint"]
+
+
+def synchronize(
+    keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters
+) -> Outcome[tuple[Synchronization, ImagePoints]]:
+    """Put all cameras on the first one's clock, where that is wanted and the movement tells the delays."""
+    if parameters.synchronization == "hardware":
+        return Outcome((trusted(rig), keypoints))
+    found = estimate_delays(rig, keypoints, parameters.min_confidence)
+    if found.status == "corrected":
+        late = [
+            finding("cameras-not-synchronous", where=name, value=1e3 * float(delay_s))
+            for name, delay_s in zip(rig.names, found.delay_s, strict=True)
+            if delay_s != 0
+        ]
+        return Outcome((found, shift(keypoints, found.delay_s)), tuple(late))
+    findings = (finding("synchronization-unknown"),) if found.status == "unknown" else ()
+    return Outcome((found, keypoints), findings)
 
 
 def refine_cameras(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters) -> Outcome[PersonRefinement]:

@@ -56,6 +56,7 @@ class CameraReport(_Model):
     reprojection_median_px: float | None
     bias_u_px: Annotated[float | None, Field(description="Mean residual to the right; a good calibration leaves 0.")]
     bias_v_px: Annotated[float | None, Field(description="Mean residual downwards.")]
+    delay_ms: Annotated[float | None, Field(description="By how much the camera ran late; corrected.")]
     corrected_by_mm: Annotated[
         float | None, Field(description="How far the camera's pose was corrected on the subject.")
     ]
@@ -81,6 +82,10 @@ class Reconstruction(_Model):
     reprojection_mean_px: float | None
     reprojection_median_px: float | None
     disagreement_median_mm: Annotated[float | None, Field(description="Median reprojection error at the subject.")]
+    synchronization: Annotated[
+        Literal["synchronous", "corrected", "unknown", "trusted"],
+        Field(description="Whether the cameras ran together, by the subject's movement; trusted: by a common trigger."),
+    ]
     cameras_refined: Annotated[bool, Field(description="Whether the cameras' poses were corrected on the subject.")]
     held_out_before_px: Annotated[
         float | None, Field(description="Mean reprojection error in held-out moments, by the calibration as it came.")

@@ -22,7 +22,8 @@ STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
         "calibration": 0.01,
         "capture": 0.01,
-        "keypoints": 0.86,
+        "keypoints": 0.84,
+        "synchronization": 0.02,
         "cameras": 0.01,
         "triangulation": 0.03,
         "smoothing": 0.01,

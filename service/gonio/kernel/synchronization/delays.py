@@ -17,7 +17,7 @@ from gonio.kernel.geometry.cameras import undistort_rig
 from gonio.kernel.smoothing.filters import low_pass
 from gonio.records import ImagePoints, Rig, record
 
-Status = Literal["synchronous", "corrected", "unknown"]
+Status = Literal["synchronous", "corrected", "unknown", "trusted"]
 
 MAX_DELAY_S = 0.5
 """Half a gait cycle: a walk looks nearly the same a whole cycle later, and nothing in it could tell."""
@@ -25,15 +25,12 @@ MAX_DELAY_S = 0.5
 SMALLEST_DELAY_FRAMES = 0.3
 """Delays below this are left alone: they shift a foot at 5 m/s by less than the detector's own error."""
 
-LARGEST_SD_FRAMES = 0.25
+LARGEST_SD_FRAMES = 0.4
 SMALLEST_GAIN = 0.03
-"""A correction must be known to a quarter of a frame, and lower the held-out error by this share."""
+"""A correction must be known to less than half a frame, and lower the held-out error by this share."""
 
 VELOCITY_HZ = 6.0
 """Noise in the velocities makes every delay look smaller than it is; so they are taken from smoothed tracks."""
-
-SMALLEST_REST_FRAMES = 0.2
-"""Where whole frames fit this well they are taken as they are: mixing two frames would cost more than it mends."""
 
 MOST_FRAMES = 60
 SEARCH_ITERATIONS = 6  # of the pose adjustment for a hypothesis: its cost is then within a few per cent of the end
@@ -44,9 +41,9 @@ COARSE_STEPS = 12
 class Synchronization:
     """The cameras' delays against the first one, seconds; positive runs late.
 
-    ``status`` is ``synchronous`` (measured, and too small to matter), ``corrected``, or ``unknown``: the movement does not
-    tell, and the delays are 0. ``sd_s`` says how well each is known; the errors are mean reprojection errors of moments
-    that were not used, before and after.
+    ``status`` is ``synchronous`` (measured, and too small to matter), ``corrected``, ``unknown`` (the movement does not
+    tell, and the delays are 0) or ``trusted`` (not looked at). ``sd_s`` says how well each is known; the errors are mean
+    reprojection errors of moments that were not used, before and after.
     """
 
     status: Status
@@ -131,6 +128,11 @@ def shift(keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"]) -> Imag
     return replace(keypoints, uv_px=uv_px, confidence=confidence)
 
 
+def trusted(rig: Rig) -> Synchronization:
+    """Give the synchronization of cameras with a common trigger: nothing was looked at, and nothing is changed."""
+    return replace(_unknown(rig), status="trusted")
+
+
 def _unknown(rig: Rig) -> Synchronization:
     cameras = len(rig.cameras)
     return Synchronization(
@@ -177,7 +179,7 @@ def _resolve(streams: _Streams, lags: Int[np.ndarray, " camera"]) -> tuple[Float
         if np.abs(bundle.delay_s).max() * streams.rate_hz < 0.02:
             break
         bundle = _solve(streams, lags, rest_s, delays=True)
-    if np.abs(rest_s).max() * streams.rate_hz < SMALLEST_REST_FRAMES:
+    if np.abs(rest_s).max() * streams.rate_hz < SMALLEST_DELAY_FRAMES:  # whole frames need no mixing of two
         return np.zeros(len(lags)), _solve(streams, lags, delays=True)
     return rest_s, bundle
 
