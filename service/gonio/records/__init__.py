@@ -1,5 +1,6 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
+from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
     FIXED,
     GROUND,
@@ -21,6 +22,7 @@ from gonio.records.body import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.record import record
@@ -30,6 +32,7 @@ __all__ = [
     "FILLED",
     "FIXED",
     "GROUND",
+    "INTRINSIC_NAMES",
     "MEASURED",
     "MISSING",
     "NOT_CONVERGED",
@@ -39,6 +42,9 @@ __all__ = [
     "REVOLUTE",
     "SOLVED",
     "TOO_FEW_MARKERS",
+    "Board",
+    "BoardTrack",
+    "BoardViews",
     "Bodies",
     "BodyModel",
     "Camera",
@@ -48,8 +54,10 @@ __all__ = [
     "Finding",
     "Functions",
     "ImagePoints",
+    "Intrinsics",
     "JointTree",
     "LabPoints",
+    "LensModel",
     "MarkerSet",
     "Markers",
     "Measurement",
