@@ -19,6 +19,16 @@ from gonio.records.body import (
     Motion,
     Tasks,
 )
+from gonio.records.calibration import (
+    UNKNOWNS,
+    Calibration,
+    Judgement,
+    LabFrame,
+    LabSource,
+    Level,
+    Verdict,
+    Volume,
+)
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
@@ -42,11 +52,13 @@ __all__ = [
     "REVOLUTE",
     "SOLVED",
     "TOO_FEW_MARKERS",
+    "UNKNOWNS",
     "Board",
     "BoardTrack",
     "BoardViews",
     "Bodies",
     "BodyModel",
+    "Calibration",
     "Camera",
     "Capture",
     "CoordinatePrior",
@@ -56,8 +68,12 @@ __all__ = [
     "ImagePoints",
     "Intrinsics",
     "JointTree",
+    "Judgement",
+    "LabFrame",
     "LabPoints",
+    "LabSource",
     "LensModel",
+    "Level",
     "MarkerSet",
     "Markers",
     "Measurement",
@@ -66,6 +82,8 @@ __all__ = [
     "Severity",
     "Tasks",
     "Timebase",
+    "Verdict",
     "View",
+    "Volume",
     "record",
 ]

@@ -1,12 +1,13 @@
 """How fast a board moved, in space and in the pictures: what a camera's delay shows itself by."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gonio.kernel.calibration.board_terms import DELAY, move_frames
 from gonio.kernel.calibration.boards import Scene
 from gonio.kernel.geometry.transforms import apply
 
+STILL_PX = 2.0
 MAX_GAP_S = 0.3
 """Pictures further apart than this say nothing about the motion between them."""
 
@@ -60,3 +61,21 @@ def corner_velocities(
         effective.reshape(-1, frames, corners, 3), velocity,
     )  # fmt: skip
     return velocity
+
+
+def distinct_frames(uv_px: Float[np.ndarray, "camera frame corner 2"]) -> Bool[np.ndarray, " frame"]:
+    """Say which frames show the board at another place than the last one that was kept, in any camera.
+
+    A board that is held still repeats the same errors: ten pictures of it would count as ten and say one.
+    """
+    kept = np.zeros(uv_px.shape[1], dtype=bool)
+    last = np.full((uv_px.shape[0], *uv_px.shape[2:]), np.nan)
+    for frame in range(uv_px.shape[1]):
+        now = uv_px[:, frame]
+        seen = np.isfinite(now[..., 0])
+        both = seen & np.isfinite(last[..., 0])
+        moved = np.linalg.norm(np.where(both[..., None], now - last, 0.0), axis=-1).max(initial=0.0) > STILL_PX
+        appeared = np.any(seen.any(axis=1) & ~both.any(axis=1))
+        if moved or appeared:
+            kept[frame], last = True, now
+    return kept

@@ -128,6 +128,17 @@ def adjust(observations: Observations, start: Scene, prior: Prior) -> Adjusted:
     return adjusted
 
 
+def pose_boards(observations: Observations, scene: Scene) -> Scene:
+    """Find the boards' poses alone, the cameras being held."""
+    count = len(scene.theta)
+    held = Prior(
+        mean=scene.theta,
+        information=np.zeros((count, 10, 10)),
+        free=np.zeros((count, CAMERA_UNKNOWNS), dtype=bool),
+    )
+    return _minimise(observations, scene, held, SIGMA_PX)[0]
+
+
 def _round(observations: Observations, start: Scene, prior: Prior, sigma_px: float, inflation: float) -> Adjusted:
     """Minimise at a given level of noise, and estimate it anew."""
     tempered = replace(prior, information=inflation * prior.information)

@@ -259,24 +259,30 @@ def coverage(uv_px: Float[np.ndarray, "frame corner 2"], image_size_px: tuple[in
 
 
 def choose_views(
-    T_cam_board: Float[np.ndarray, "frame 4 4"],
+    board: Board,
     uv_px: Float[np.ndarray, "frame corner 2"],
     sharpness: Float[np.ndarray, " frame"],
     image_size_px: tuple[int, int],
-    count: int,
+    count: int = 30,
 ) -> Int[np.ndarray, " chosen"]:
     """Choose pictures that differ most: farthest-point sampling over place, distance and tilt, the sharper half first.
 
-    Pictures without a pose (NaN) are never chosen. The result is in the order of time.
+    Pictures in which the board has no pose are never chosen. The result is in the order of time.
     """
-    posed = np.flatnonzero(np.isfinite(T_cam_board[:, 0, 0]))
+    width, height = image_size_px
+    rough = np.array(
+        [width, 1.0, (width - 1) / 2, (height - 1) / 2, 0, 0, 0, 0, 0, 0]
+    )  # good enough to tell views apart
+    poses = locate_board(camera_of(rough, image_size_px), board.corners_board_m, uv_px)
+    posed = np.flatnonzero(poses.known)
     if len(posed) <= count:
         return posed
     sharp = posed[sharpness[posed] >= np.median(sharpness[posed])]
     pool = sharp if len(sharp) >= count else posed
-    centre = np.stack([np.nanmean(uv_px[f], axis=0) for f in pool]) / np.array(image_size_px)
-    normal = T_cam_board[pool, :2, 2]
-    distance = np.log(np.linalg.norm(T_cam_board[pool, :3, 3], axis=1))
+    T_cam_board = poses.T_cam_board[pool, 0]
+    centre = np.stack([np.nanmean(uv_px[frame], axis=0) for frame in pool]) / width
+    distance = np.log(np.linalg.norm(T_cam_board[:, :3, 3], axis=1))
+    normal = T_cam_board[:, :2, 2]
     features = np.column_stack([centre, distance, normal])
     chosen = [int(np.argmax(np.abs(normal).sum(axis=1)))]
     nearest = np.full(len(pool), np.inf)

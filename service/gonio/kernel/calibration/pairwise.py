@@ -126,6 +126,17 @@ def arrange(
     )
 
 
+def pose_in_rig(
+    cameras: tuple[Camera, ...],
+    Ts_cam_ref: Float[np.ndarray, "camera 4 4"],
+    corners_board_m: Float[np.ndarray, "corner 3"],
+    uv_px: Float[np.ndarray, "camera frame corner 2"],
+) -> Float[np.ndarray, "frame 4 4"]:
+    """Pose boards roughly among cameras whose poses are known: ``T_ref_board``, NaN where no camera sees enough of one."""
+    poses = tuple(locate_board(camera, corners_board_m, uv) for camera, uv in zip(cameras, uv_px, strict=True))
+    return _place_boards(_Sights(cameras, corners_board_m, uv_px, poses), Ts_cam_ref)
+
+
 def _unconnected(who: str) -> CaptureError:
     return CaptureError(
         f"The board was never seen by {who} at the same time.",

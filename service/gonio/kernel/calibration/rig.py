@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from gonio.errors import CaptureError
-from gonio.kernel.calibration.board_motion import corner_velocities
+from gonio.kernel.calibration.board_motion import corner_velocities, distinct_frames
 from gonio.kernel.calibration.board_terms import ASPECT, CX, CY, DELAY, FOCAL, K1, K2, K3, P1, P2
-from gonio.kernel.calibration.boards import SIGMA_PX, Adjusted, Observations, Prior, Scene, adjust
+from gonio.kernel.calibration.boards import SIGMA_PX, Adjusted, Observations, Prior, Scene, adjust, pose_boards
 from gonio.kernel.calibration.intrinsics import FREE, camera_of
-from gonio.kernel.calibration.pairwise import Arrangement, Method, Pair, arrange
+from gonio.kernel.calibration.pairwise import Method, Pair, arrange, pose_in_rig
 from gonio.kernel.geometry.transforms import inverse
 from gonio.records import BoardViews, Camera, Intrinsics, record
 
@@ -29,8 +29,8 @@ TIMING_SD_S = 0.010
 """How far single pictures are off a camera's steady delay (rolling shutter, exposure, jitter), before the residuals of fast
 and slow corners have told. A corner that moves fast is worth that much less."""
 
-SMALLEST_TIMING_SD_S = 0.003
-"""Even of a global shutter's picture the instant is known no better: half an exposure in daylight."""
+SMALLEST_TIMING_SD_S = 0.005
+"""The instant of a corner is known no better: an exposure, and the time that a rolling shutter takes for a board's height."""
 
 MOTION_ROUNDS = 2
 MIN_MOVING_FRAMES = 5
@@ -96,8 +96,9 @@ def solve_rig(
     )
     corners = views.board.corners_board_m
     arrangement = arrange(lenses, corners, views.uv_px, method)
-    cameras = [int(c) for c in _first_first(arrangement)]
-    frames = np.flatnonzero(_worth_using(arrangement, views.uv_px[cameras]))
+    cameras = [int(c) for c in np.flatnonzero(arrangement.connected)]
+    posed = np.flatnonzero(np.isfinite(arrangement.Ts_ref_board[:, 0, 0]))
+    frames = posed[distinct_frames(views.uv_px[cameras][:, posed])]
     if not len(frames):
         raise CaptureError(
             "No picture of the board is good enough to place the cameras.",
@@ -216,21 +217,35 @@ def prior_of(intrinsics: Sequence[Intrinsics], *, ignore: bool = False, hold: bo
     return Prior(mean=mean, information=information, free=free)
 
 
+def place_boards(
+    solution: RigSolution,
+    lenses: tuple[Camera, ...],
+    corners_board_m: Float[np.ndarray, "corner 3"],
+    uv_px: Float[np.ndarray, "camera frame corner 2"],
+) -> Float[np.ndarray, "frame 4 4"]:
+    """Give the board's pose in pictures that a solved rig took of it at rest: ``T_ref_board``, NaN where it can't be told.
+
+    ``lenses`` and ``uv_px`` are of the solution's cameras.
+    """
+    rough = pose_in_rig(lenses, solution.scene.Ts_cam_ref, corners_board_m, uv_px)
+    known = np.isfinite(rough[:, 0, 0])
+    placed = np.full_like(rough, np.nan)
+    if known.any():
+        seen = np.isfinite(uv_px[:, known, :, 0])
+        observations = Observations(
+            corners_board_m=corners_board_m,
+            uv_px=np.where(seen[..., None], uv_px[:, known], 0.0),
+            velocity_px_s=np.zeros_like(uv_px[:, known]),
+            weight=seen.astype(float),
+        )
+        placed[known] = pose_boards(observations, replace(solution.scene, Ts_ref_board=rough[known])).Ts_ref_board
+    return placed
+
+
 def focal_variance_px2(optics: Intrinsics) -> float:
     """Give how well a camera's focal length is believed to be known beforehand, its floor included."""
     least = FLOORS[optics.origin][FOCAL] * optics.parameters[FOCAL]
     return float(optics.covariance[FOCAL, FOCAL] + least**2)
-
-
-def _first_first(arrangement: Arrangement) -> list[int]:
-    """Give the connected cameras; the one whose pose is the identity comes first by construction."""
-    return [int(c) for c in np.flatnonzero(arrangement.connected)]
-
-
-def _worth_using(
-    arrangement: Arrangement, uv_px: Float[np.ndarray, "camera frame corner 2"]
-) -> Bool[np.ndarray, " frame"]:
-    return np.isfinite(arrangement.Ts_ref_board[:, 0, 0]) & np.isfinite(uv_px[..., 0]).any(axis=(0, 2))
 
 
 def _moves(scene: Scene, corners_board_m: np.ndarray, uv_px: np.ndarray, times_s: np.ndarray) -> bool:

@@ -6,15 +6,12 @@ too. The limits were set on three real sessions and their spoiled versions (docs
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from gonio.kernel.calibration.board_terms import DELAY, FOCAL
 from gonio.kernel.calibration.evidence import Evidence
-from gonio.records import record
-
-Level = Literal["accept", "warn", "reject"]
+from gonio.records import Judgement, Level, Verdict
 
 REFERENCE_WIDTH_PX = 1280
 """Limits in pixels are for pictures up to this width, and grow with it beyond."""
@@ -73,8 +70,12 @@ CRITERIA: dict[str, Criterion] = {
     "focal_shift": Criterion(
         2.0, 3.0, "sd", "focal length from this session alone against the one that was given: another lens, zoom or camera"
     ),
-    "delay_frames": Criterion(
-        0.1, 1.0, "frames", "up to a frame a delay is measured and taken out; beyond that no picture is near the instant"
+    "delay_ms": Criterion(
+        5.0,
+        np.inf,
+        "ms",
+        "5 ms are 7 mm at walking speed. Up to a whole frame (the second limit) a delay is measured and taken out; beyond "
+        "that no picture is near the instant, and what is measured is no longer exact",
     ),
     "bump": Criterion(4.0, 6.0, "sd", "early against late pose of one camera; undisturbed cameras reach 2, rarely 7"),
     "coverage": Criterion(
@@ -89,30 +90,6 @@ CRITERIA: dict[str, Criterion] = {
 BUMP_MIN_RAD = np.deg2rad(0.5)
 BUMP_CERTAIN_Z = 10.0
 """Small angles may be an unexplained half degree of an undisturbed camera: below that only a clear case is rejected."""
-
-
-@record
-class Judgement:
-    """One criterion's outcome: the measured value against its limits; ``where`` names the camera."""
-
-    name: str
-    level: Level
-    value: float
-    accept: float
-    warn: float
-    where: str = ""
-
-
-@record
-class Verdict:
-    """All judgements, and the worst of them."""
-
-    level: Level
-    judgements: tuple[Judgement, ...]
-
-    def of(self, name: str) -> tuple[Judgement, ...]:
-        """Give the judgements by one criterion."""
-        return tuple(j for j in self.judgements if j.name == name)
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -133,10 +110,12 @@ def judge(evidence: Evidence) -> Verdict:
     return Verdict(level=worst([judgement.level for judgement in judgements]), judgements=judgements)
 
 
-def judge_value(name: str, value: float, where: str = "", *, scale: float = 1.0) -> Judgement:
-    """Hold one number against its criterion; NaN, which is no number, is rejected."""
+def judge_value(
+    name: str, value: float, where: str = "", *, scale: float = 1.0, warn: float | None = None
+) -> Judgement:
+    """Hold one number against its criterion; NaN, which is no number, is rejected. ``warn`` overrides the table's."""
     criterion = CRITERIA[name]
-    accept, warn = criterion.accept * scale, criterion.warn * scale
+    accept, warn = criterion.accept * scale, criterion.warn * scale if warn is None else warn
     signed, limits = (-value, (-accept, -warn)) if criterion.at_least else (value, (accept, warn))
     level: Level = "accept" if signed <= limits[0] else "warn" if signed <= limits[1] else "reject"
     return Judgement(name=name, level=level, value=float(value), accept=accept, warn=warn, where=where)
@@ -190,8 +169,12 @@ def _judge_optics(evidence: Evidence) -> list[Judgement]:
 def _judge_timing(evidence: Evidence) -> list[Judgement]:
     if not evidence.solution.delays_solved:
         return []
-    delays = np.abs(evidence.solution.scene.theta[:, DELAY]) / evidence.frame_period_s
-    return [judge_value("delay_frames", delay, name) for name, delay in zip(evidence.names, delays, strict=True)]
+    delays_ms = 1e3 * np.abs(evidence.solution.scene.theta[:, DELAY])
+    frame_ms = 1e3 * evidence.frame_period_s
+    return [
+        judge_value("delay_ms", delay, name, warn=frame_ms)
+        for name, delay in zip(evidence.names, delays_ms, strict=True)
+    ]
 
 
 def _judge_bumps(evidence: Evidence) -> list[Judgement]:
@@ -208,7 +191,7 @@ def _judge_bumps(evidence: Evidence) -> list[Judgement]:
 def _judge_coverage(evidence: Evidence) -> list[Judgement]:
     """Judge the margins of each picture where the lens was calibrated here; what a file says was covered is not known."""
     return [
-        judge_value("coverage", 0.0, f"{name}: {margin}")
+        judge_value("coverage", 0.0, f"the {margin} of {name}'s picture")
         for name, optics, covered in zip(evidence.names, evidence.intrinsics, evidence.covered, strict=True)
         if optics.origin != "file"
         for margin, cells in MARGINS.items()

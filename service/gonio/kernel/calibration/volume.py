@@ -6,23 +6,9 @@ from jaxtyping import Float
 from gonio.kernel.calibration.board_terms import CAMERA_UNKNOWNS, predict
 from gonio.kernel.calibration.rig import RigSolution
 from gonio.kernel.geometry.transforms import apply, inverse, transform
-from gonio.records import BoardViews, record
+from gonio.records import BoardViews, Volume
 
 COVERED_PERCENTILES = (2.5, 97.5)
-
-
-@record
-class Volume:
-    """The box that the board was swept through, along the lab's axes, and the error to expect of a point in it.
-
-    ``error_m`` is the root mean square over a grid of 3 × 3 × 3 points of what the cameras' uncertainty alone does to a
-    point that they see exactly, after the best rigid alignment: a common shift or turn is a matter of the lab frame, and
-    camera poses, centres and focal lengths make up for each other. NaN where fewer than two cameras see any of it.
-    """
-
-    lower_lab_m: Float[np.ndarray, "3"]
-    upper_lab_m: Float[np.ndarray, "3"]
-    error_m: float
 
 
 def judge_volume(views: BoardViews, solution: RigSolution, T_lab_ref: Float[np.ndarray, "4 4"]) -> Volume:
