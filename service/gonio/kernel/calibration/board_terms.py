@@ -120,10 +120,10 @@ def measure_frames(  # noqa: PLR0913 - compiled code takes arrays, not records
 @njit(cache=True, nogil=True)
 def sum_picture(  # noqa: PLR0913 - compiled code takes arrays, not records
     theta: Array, T_cam_ref: Array, T_ref_board: Array, corners_board_m: Array, uv_px: Array, velocity_px_s: Array,
-    weight: Array, full: Array, gradient: Array,
+    weight: Array, bend: Array, full: Array, gradient: Array,
 ) -> None:  # fmt: skip
-    """Sum ``Jᵀ w J`` (22 × 22) and ``Jᵀ w r`` of one camera's corners of one frame."""
-    out, slopes, residual = np.empty(2), np.zeros((2, _ALL)), np.empty(2)
+    """Sum ``Jᵀ w (1 − bend n nᵀ) J`` (22 × 22) and ``Jᵀ w r`` of one camera's corners of one frame; n is along r."""
+    out, slopes, residual, radial = np.empty(2), np.zeros((2, _ALL)), np.empty(2), np.empty(_ALL)
     full[:], gradient[:] = 0.0, 0.0
     for corner in range(len(weight)):
         if weight[corner] <= 0.0 or not predict(
@@ -131,13 +131,15 @@ def sum_picture(  # noqa: PLR0913 - compiled code takes arrays, not records
         ):
             continue
         residual[0], residual[1] = uv_px[corner, 0] - out[0], uv_px[corner, 1] - out[1]
-        for row in range(2):
-            for i in range(_ALL):
-                scaled = weight[corner] * slopes[row, i]
-                if scaled != 0.0:
-                    gradient[i] += scaled * residual[row]
-                    for j in range(i, _ALL):
-                        full[i, j] += scaled * slopes[row, j]
+        length = max(np.hypot(residual[0], residual[1]), 1e-12)
+        for i in range(_ALL):
+            radial[i] = (slopes[0, i] * residual[0] + slopes[1, i] * residual[1]) / length
+            gradient[i] += weight[corner] * radial[i] * length
+        less = weight[corner] * bend[corner]
+        for i in range(_ALL):
+            across, down, along = weight[corner] * slopes[0, i], weight[corner] * slopes[1, i], less * radial[i]
+            for j in range(i, _ALL):
+                full[i, j] += across * slopes[0, j] + down * slopes[1, j] - along * radial[j]
     for i in range(_ALL):
         for j in range(i):
             full[i, j] = full[j, i]
@@ -146,20 +148,21 @@ def sum_picture(  # noqa: PLR0913 - compiled code takes arrays, not records
 @njit(cache=True, nogil=True)
 def sum_frames(  # noqa: PLR0913 - compiled code takes arrays, not records
     theta: Array, Ts_cam_ref: Array, Ts_ref_board: Array, corners_board_m: Array, uv_px: Array, velocity_px_s: Array,
-    weight: Array, start: int, stop: int, H_camera: Array, H_cross: Array, H_board: Array, g_camera: Array,
-    g_board: Array,
+    weight: Array, bend: Array, start: int, stop: int, H_camera: Array, H_cross: Array, H_board: Array,
+    g_camera: Array, g_board: Array,
 ) -> None:  # fmt: skip
     """Sum up the frames [start, stop), each into its own rows of the outputs.
 
     ``H_camera`` is (frame, camera, 16, 16), ``H_cross`` (frame, camera, 16, 6), ``H_board`` (frame, 6, 6); the gradients
-    ``g_`` accordingly. ``weight`` is the whole weight of an observation, robust loss included.
+    ``g_`` accordingly. ``weight`` is the whole weight of an observation, robust loss included; ``bend`` is by how much the
+    loss's curvature is less along the residual than across it, 0 to 1.
     """
     full, gradient = np.empty((_ALL, _ALL)), np.empty(_ALL)
     for frame in range(start, stop):
         for camera in range(uv_px.shape[0]):
             sum_picture(
                 theta[camera], Ts_cam_ref[camera], Ts_ref_board[frame], corners_board_m, uv_px[camera, frame],
-                velocity_px_s[camera, frame], weight[camera, frame], full, gradient,
+                velocity_px_s[camera, frame], weight[camera, frame], bend[camera, frame], full, gradient,
             )  # fmt: skip
             H_camera[frame, camera] = full[:CAMERA_UNKNOWNS, :CAMERA_UNKNOWNS]
             H_cross[frame, camera] = full[:CAMERA_UNKNOWNS, CAMERA_UNKNOWNS:]

@@ -25,12 +25,18 @@ CAUCHY_SIGMAS = 3.0
 ROUNDS = 4
 """So often the level of noise is estimated anew, which weighs the corners against the prior and sets the loss's scale."""
 
-STEP_TOLERANCE = 1e-3
+STEP_TOLERANCE = 0.01
 """A step that changes no parameter by more than this part of its standard deviation is the last."""
+
+NEAR = 3.0
+"""Steps smaller than this, in standard deviations, are Newton's; farther out reweighted least squares is the safer one."""
+
+MOST_BEND = 0.9
+"""Beyond its scale the loss is concave along the residual: there it is taken as nearly flat, or Newton's step turns back."""
 
 HUGE_PX2 = 1e8
 MAX_ITERATIONS = 60
-BLOCK_FRAMES = 16
+BLOCK_FRAMES = 128
 
 
 @record
@@ -105,26 +111,32 @@ class _Normal:
     inverse_board: Float[np.ndarray, "frame 6 6"]
 
 
-def adjust(observations: Observations, start: Scene, prior: Prior) -> Adjusted:
+def adjust(
+    observations: Observations, start: Scene, prior: Prior, *, sigma_px: float = SIGMA_PX, inflation: float = 1.0
+) -> Adjusted:
     """Find the cameras and board poses that explain the corners best.
 
     The level of noise is estimated along the way, and so is how far the corners of a picture err together (blur, a bent
     board, a picture taken at another instant): a prior counts against as many independent corners as there really are.
+
+    Args:
+        observations: The corners.
+        start: Where to start from.
+        prior: What is known beforehand, and what may move.
+        sigma_px: What the noise is taken to be at first.
+        inflation: What the corners' erring together is taken to be at first.
 
     Raises:
         SolverError: ``calibration-diverged``: the normal equations are singular, so something is not determined at all.
     """
     # The matrices are small: BLAS's own threads would wait for each other longer than they work.
     with threadpool_limits(limits=1, user_api="blas"):
-        adjusted = _round(observations, start, prior, SIGMA_PX, 1.0)
+        adjusted = _round(observations, start, prior, sigma_px, inflation)
         for _ in range(ROUNDS - 1):
-            before = adjusted
-            adjusted = _round(observations, before.scene, prior, before.sigma_px, before.inflation)
-            if (
-                abs(adjusted.sigma_px / before.sigma_px - 1) < 0.1
-                and abs(adjusted.inflation / before.inflation - 1) < 0.3
-            ):
+            if abs(adjusted.sigma_px / sigma_px - 1) < 0.1 and abs(adjusted.inflation / inflation - 1) < 0.3:
                 break
+            sigma_px, inflation = adjusted.sigma_px, adjusted.inflation
+            adjusted = _round(observations, adjusted.scene, prior, sigma_px, inflation)
     return adjusted
 
 
@@ -162,9 +174,12 @@ def _minimise(observations: Observations, scene: Scene, prior: Prior, sigma_px: 
     """Run Levenberg-Marquardt at a given level of noise: the scene, whether it converged, and the iterations."""
     residual = _residuals(observations, scene)
     cost, damping = _cost(residual, observations.weight, sigma_px, scene, prior), 1e-3
+    size = np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
-        weight = observations.weight * _share(residual, observations.weight, sigma_px) / sigma_px**2
-        trial, size = _step(scene, prior, _normal(observations, scene, prior, weight, damping))
+        share = _share(residual, observations.weight, sigma_px)
+        weight = observations.weight * share / sigma_px**2
+        bend = np.minimum(2 * (1 - share), MOST_BEND) if size < NEAR else None
+        trial, size = _step(scene, prior, _normal(observations, scene, prior, weight, bend, damping))
         trial_residual = _residuals(observations, trial)
         trial_cost = _cost(trial_residual, observations.weight, sigma_px, trial, prior)
         if trial_cost <= cost:
@@ -211,8 +226,19 @@ def _robust_sigma(residual: np.ndarray, weight: np.ndarray) -> float:
     return max(float(np.median(lengths)) / 1.1774, 1e-3) if lengths.size else SIGMA_PX
 
 
-def _normal(observations: Observations, scene: Scene, prior: Prior, weight: np.ndarray, damping: float) -> _Normal:
-    """Sum up the damped normal equations and eliminate the boards."""
+def _normal(
+    observations: Observations,
+    scene: Scene,
+    prior: Prior,
+    weight: np.ndarray,
+    bend: np.ndarray | None = None,
+    damping: float = 0.0,
+) -> _Normal:
+    """Sum up the damped normal equations and eliminate the boards.
+
+    ``bend`` makes them those of Newton's method for Cauchy's loss, whose curvature along a residual is less than the
+    weight [Triggs et al. 2000, §4.3]: reweighted least squares without it takes four times as many steps.
+    """
     cameras, frames = weight.shape[:2]
     H_camera = np.zeros((frames, cameras, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS))
     H_cross = np.zeros((frames, cameras, CAMERA_UNKNOWNS, BOARD_UNKNOWNS))
@@ -222,7 +248,7 @@ def _normal(observations: Observations, scene: Scene, prior: Prior, weight: np.n
     def accumulate(start: int, stop: int) -> None:
         sum_frames(
             scene.theta, scene.Ts_cam_ref, scene.Ts_ref_board, observations.corners_board_m, observations.uv_px,
-            observations.velocity_px_s, weight, start, stop, H_camera, H_cross, H_board, g_camera, g_board,
+            observations.velocity_px_s, weight, np.zeros_like(weight) if bend is None else bend, start, stop, H_camera, H_cross, H_board, g_camera, g_board,
         )  # fmt: skip
 
     over_blocks(accumulate, frames, BLOCK_FRAMES)
@@ -293,12 +319,12 @@ def _covariance(
     freedom = max(2 * int(observed.sum()) - BOARD_UNKNOWNS * residual.shape[1] - int(prior.free.sum()), 1)
     spread = float((share**2 * squared).sum()) / freedom
     slope = float((share - share**2 * squared / (CAUCHY_SIGMAS * sigma_px) ** 2)[observed].mean())
-    information = _normal(observations, scene, prior, observations.weight * slope**2 / spread, 0.0).matrix
+    information = _normal(observations, scene, prior, observations.weight * slope**2 / spread).matrix
     try:
         inverse = np.linalg.inv(information)
     except np.linalg.LinAlgError as error:
         raise _singular() from error
-    scores = _normal(observations, scene, prior, observations.weight * share * slope / spread, 0.0).frame_right
+    scores = _normal(observations, scene, prior, observations.weight * share * slope / spread).frame_right
     scores = scores - scores.mean(axis=0)
     scatter = np.einsum("fi,ij,fj->", scores, inverse, scores) * len(scores) / max(len(scores) - 1, 1)
     free = prior.free.ravel()

@@ -68,10 +68,9 @@ def _compare(
         np.concatenate([early, late]),
         views.times_s[solution.frames],
         solution.timing_sd_s,
-        solution.adjusted.sigma_px,
     )
     held = replace(prior, mean=prior.mean[twice], information=0 * prior.information[twice], free=free)
-    return _difference(adjust(observations, doubled, held), camera)
+    return _difference(adjust(observations, doubled, held, sigma_px=solution.adjusted.sigma_px), camera)
 
 
 def _difference(adjusted: Adjusted, camera: int) -> Bump:

@@ -144,8 +144,10 @@ def refine_rig(
     """Adjust everything; the boards' motion, by which delays act, is taken from the last solution's board poses."""
     scene, adjusted, timing_sd_s = solution.scene, solution.adjusted, solution.timing_sd_s
     for _ in range(MOTION_ROUNDS + 1):
-        observations = observe(scene, corners_board_m, uv_px, times_s, timing_sd_s, adjusted.sigma_px)
-        adjusted = adjust(observations, scene, solution.prior)
+        observations = observe(scene, corners_board_m, uv_px, times_s, timing_sd_s)
+        adjusted = adjust(
+            observations, scene, solution.prior, sigma_px=adjusted.sigma_px, inflation=adjusted.inflation
+        )
         scene = adjusted.scene
         timing_sd_s = estimate_timing(adjusted.residual_px, observations.velocity_px_s)
     return replace(solution, adjusted=adjusted, timing_sd_s=timing_sd_s)
@@ -177,7 +179,6 @@ def observe(
     uv_px: Float[np.ndarray, "camera frame corner 2"],
     times_s: Float[np.ndarray, " frame"],
     timing_sd_s: float,
-    sigma_px: float,
 ) -> Observations:
     """Weigh the corners: one that moves is known less well in time, and one of unknown motion counts as a typical one."""
     seen = np.isfinite(uv_px[..., 0])
@@ -185,7 +186,7 @@ def observe(
     squared = (velocity**2).sum(axis=-1)
     known = seen & np.isfinite(squared)
     typical = float(np.median(squared[known])) if known.any() else 0.0
-    late = np.where(np.isfinite(squared), squared, typical) * (timing_sd_s / sigma_px) ** 2 / 2
+    late = np.where(np.isfinite(squared), squared, typical) * (timing_sd_s / SIGMA_PX) ** 2 / 2
     return Observations(
         corners_board_m=corners_board_m,
         uv_px=np.where(seen[..., None], uv_px, 0.0),
