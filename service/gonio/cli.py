@@ -120,6 +120,16 @@ def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an Inverse
     _tell(run_kinematics(setup)[1])
 
 
+@app.command("id")
+def inverse_dynamics(
+    setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an InverseDynamicsTool, unchanged.")],
+) -> None:
+    """Find joint torques from a motion and external forces as OpenSim's InverseDynamicsTool does."""
+    from gonio.pipeline.opensim_dynamics import run_dynamics
+
+    _tell(run_dynamics(setup)[2])
+
+
 def _tell(result: "ToolResult") -> None:
     for remark in result.remarks:
         console.print(f"→ {remark}", soft_wrap=True)

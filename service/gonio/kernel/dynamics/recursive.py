@@ -1,0 +1,301 @@
+"""Recursive Newton-Euler: the generalized forces that a motion needs, with couplings and external wrenches.
+
+Outwards over the tree go the nodes' velocities and accelerations, inwards the forces that their bodies need [Featherstone
+2008, ch. 5], all in the lab's frame. The tree has one force a node; coordinates that drive several nodes, through the
+coupling q_full = f(q), get their share of each by the chain rule::
+
+    v̇_node = f' q̇        v̈_node = f' q̈ + f'' q̇²        τ_coordinate = Σ f' τ_node
+
+Constraint forces do no work, so what comes out satisfies dE/dt = Σ τ q̇ + power of the external wrenches, for coupled
+rotations too.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+from gonio.errors import InputError
+from gonio.kernel.body.tree import COORDINATE_POSE, NODE_POSE, Array, Tree, couple_coordinates, flatten, pose_nodes
+from gonio.kernel.parallel import over_blocks
+from gonio.records import REVOLUTE, BodyModel, record
+
+_BLOCK = 256  # frames that one thread takes at a time
+
+NODE_MOTION = np.dtype(
+    [
+        ("omega", "f8", 3),  # of the node, rad/s
+        ("alpha", "f8", 3),
+        ("velocity", "f8", 3),  # of its origin, m/s
+        ("acceleration", "f8", 3),
+        ("force", "f8", 3),  # what its bodies, and all outwards of it, need; N
+        ("moment", "f8", 3),  # the same about the lab's origin; Nm
+    ],
+    align=True,
+)
+BODY = np.dtype(
+    [("node", "i8"), ("mass", "f8"), ("com_node", "f8", 3), ("inertia_node", "f8", (3, 3))], align=True
+)  # in the node's frame; inertia about the centre of mass
+
+
+class Inertia(NamedTuple):
+    """The bodies and gravity, for compiled code."""
+
+    bodies: Array  # (body,) BODY
+    gravity: Array  # (3,)
+
+
+@record
+class Wrench:
+    """What pushes on one body from outside: force in the lab, and moment about the lab's origin.
+
+    NaN means: nothing there; it counts as zero.
+    """
+
+    body: str
+    force_n: Float[np.ndarray, "frame 3"]
+    moment_nm: Float[np.ndarray, "frame 3"]
+
+
+@record
+class Dynamics:
+    """The forces behind a motion, and the whole body's momentum.
+
+    ``forces`` are the generalized forces of the coordinates (N for slides, Nm for turns; 0 for dependent and locked ones):
+    of the joints, and for the root's coordinates the residual that nothing provides. ``net_force_n`` and ``net_moment_nm``
+    (about the lab's origin) are what the motion needs from outside in all, gravity apart; ``energy_j`` is kinetic plus
+    potential.
+    """
+
+    coordinate_names: tuple[str, ...]
+    forces: Float[np.ndarray, "frame coordinate"]
+    com_lab_m: Float[np.ndarray, "frame 3"]
+    net_force_n: Float[np.ndarray, "frame 3"]
+    net_moment_nm: Float[np.ndarray, "frame 3"]
+    energy_j: Float[np.ndarray, " frame"]
+
+    def of(self, name: str) -> Float[np.ndarray, " frame"]:
+        """Give one coordinate's generalized force over time."""
+        return self.forces[:, self.coordinate_names.index(name)]
+
+
+def wrench_at_point(
+    body: str,
+    force_n: Float[np.ndarray, "frame 3"],
+    point_lab_m: Float[np.ndarray, "frame 3"],
+    free_moment_nm: Float[np.ndarray, "frame 3"] | float = 0.0,
+) -> Wrench:
+    """Make a wrench of a force at a point of the lab (a centre of pressure) and a free moment."""
+    return Wrench(body=body, force_n=force_n, moment_nm=np.cross(point_lab_m, force_n) + free_moment_nm)
+
+
+def solve_dynamics(
+    model: BodyModel,
+    q: Float[np.ndarray, "frame coordinate"],
+    velocity: Float[np.ndarray, "frame coordinate"],
+    acceleration: Float[np.ndarray, "frame coordinate"],
+    wrenches: tuple[Wrench, ...] = (),
+) -> Dynamics:
+    """Find the generalized forces of a motion.
+
+    Args:
+        model: The body.
+        q: The coordinates, rad and m; dependent ones are computed from those that drive them.
+        velocity: Their rates.
+        acceleration: The rates' rates.
+        wrenches: What pushes from outside.
+
+    Returns:
+        The forces; a frame with a NaN that matters is NaN.
+
+    Raises:
+        InputError: a wrench on a body that the model lacks, or of another length than the motion.
+    """
+    frames = len(q)
+    pushed = np.zeros((frames, len(model.bodies.names), 6))
+    for wrench in wrenches:
+        if len(wrench.force_n) != frames:
+            raise InputError(
+                f"The wrench on {wrench.body} has {len(wrench.force_n)} frames, the motion {frames}.",
+                hint="Resample the forces to the motion's times.",
+            )
+        pushed[:, model.bodies.index(wrench.body)] += np.nan_to_num(np.hstack([wrench.force_n, wrench.moment_nm]))
+    tree, inertia = flatten(model), _inertia(model)
+    forces, com, net = np.zeros(q.shape), np.empty((frames, 3)), np.empty((frames, 6))
+    energy = np.empty(frames)
+    values, rates, rates2 = (np.array(a, dtype=float, order="C") for a in (q, velocity, acceleration))
+
+    def solve(start: int, stop: int) -> None:
+        _solve_frames(tree, inertia, start, stop, values, rates, rates2, pushed, forces, com, net, energy)
+
+    over_blocks(solve, frames, _BLOCK)
+    return Dynamics(
+        coordinate_names=model.coordinates.names,
+        forces=forces,
+        com_lab_m=com,
+        net_force_n=net[:, :3],
+        net_moment_nm=net[:, 3:],
+        energy_j=energy,
+    )
+
+
+def _inertia(model: BodyModel) -> Inertia:
+    bodies = np.empty(len(model.bodies.names), dtype=BODY)
+    R, p = model.bodies.T_node_body[:, :3, :3], model.bodies.T_node_body[:, :3, 3]
+    bodies["node"], bodies["mass"] = model.bodies.node, model.bodies.mass_kg
+    bodies["com_node"] = np.einsum("bij,bj->bi", R, model.bodies.com_body_m) + p
+    bodies["inertia_node"] = R @ model.bodies.inertia_body_kgm2 @ R.transpose(0, 2, 1)
+    return Inertia(bodies, model.gravity_m_s2.copy())
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve_frames(  # noqa: PLR0913 - what it fills is passed in
+    tree: Tree,
+    inertia: Inertia,
+    start: int,
+    stop: int,
+    q: Array,
+    velocity: Array,
+    acceleration: Array,
+    pushed: Array,  # (frame, body, 6): force, moment about the lab's origin
+    forces: Array,
+    com: Array,
+    net: Array,
+    energy: Array,
+) -> None:
+    coordinates = np.zeros(len(tree.couplings), dtype=COORDINATE_POSE)
+    nodes = np.zeros(len(tree.nodes), dtype=NODE_POSE)
+    motion = np.zeros(len(tree.nodes), dtype=NODE_MOTION)
+    for frame in range(start, stop):
+        couple_coordinates(tree, q[frame], coordinates)
+        pose_nodes(tree, q[frame], coordinates, nodes)
+        _move_outwards(tree, nodes, velocity[frame], acceleration[frame], motion)
+        energy[frame] = _load_bodies(inertia, nodes, motion, pushed[frame], com[frame], net[frame])
+        _gather_inwards(tree, nodes, motion, forces[frame])
+
+
+@njit(cache=True, error_model="numpy")
+def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Array, motion: Array) -> None:
+    """Fill the nodes' velocities and accelerations, and clear their forces."""
+    arm, turned = np.empty(3), np.empty(3)
+    for index in range(len(tree.nodes)):
+        given, node, here = tree.nodes[index], nodes[index], motion[index]
+        rate = rate2 = 0.0
+        if given.driver >= 0:
+            rate = node.first * velocity[given.driver]
+            rate2 = node.first * acceleration[given.driver] + node.second * velocity[given.driver] ** 2
+        for i in range(3):
+            here.force[i] = here.moment[i] = 0.0
+            here.omega[i] = here.alpha[i] = here.velocity[i] = here.acceleration[i] = 0.0
+        if given.parent >= 0:
+            parent = motion[given.parent]
+            for i in range(3):
+                arm[i] = node.p_lab_node[i] - nodes[given.parent].p_lab_node[i]
+                here.omega[i], here.alpha[i] = parent.omega[i], parent.alpha[i]
+            _cross(parent.omega, arm, turned)
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                here.velocity[i] = parent.velocity[i] + turned[i]
+                here.acceleration[i] = parent.acceleration[i]
+                here.acceleration[i] += parent.alpha[j] * arm[k] - parent.alpha[k] * arm[j]
+                here.acceleration[i] += parent.omega[j] * turned[k] - parent.omega[k] * turned[j]
+        # The node's own motion; its axis is fixed in the parent, so it turns with it.
+        _cross(here.omega, node.axis_lab, turned)
+        if given.kind == REVOLUTE:
+            for i in range(3):
+                here.alpha[i] += node.axis_lab[i] * rate2 + turned[i] * rate
+                here.omega[i] += node.axis_lab[i] * rate
+        else:
+            for i in range(3):
+                here.acceleration[i] += node.axis_lab[i] * rate2 + 2.0 * turned[i] * rate
+                here.velocity[i] += node.axis_lab[i] * rate
+
+
+@njit(cache=True, error_model="numpy")
+def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array) -> float:
+    """Give each node the force that its bodies need, less what pushes them; fill the whole body's; give the energy."""
+    arm, place, speed, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    force, moment = np.empty(3), np.empty(3)
+    spin = np.empty((3, 3))
+    com[:] = 0.0
+    net[:] = 0.0
+    mass = energy = 0.0
+    for index in range(len(inertia.bodies)):
+        body = inertia.bodies[index]
+        node, here = nodes[body.node], motion[body.node]
+        _turn(node.R_lab_node, body.com_node, arm)
+        _cross(here.omega, arm, turned)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            place[i] = node.p_lab_node[i] + arm[i]
+            speed[i] = here.velocity[i] + turned[i]
+            force[i] = here.acceleration[i] + here.alpha[j] * arm[k] - here.alpha[k] * arm[j]
+            force[i] += here.omega[j] * turned[k] - here.omega[k] * turned[j] - inertia.gravity[i]
+            force[i] *= body.mass
+        _turn_tensor(node.R_lab_node, body.inertia_node, spin)
+        _turn(spin, here.omega, turned)  # the angular momentum about the centre of mass
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            moment[i] = spin[i, 0] * here.alpha[0] + spin[i, 1] * here.alpha[1] + spin[i, 2] * here.alpha[2]
+            moment[i] += here.omega[j] * turned[k] - here.omega[k] * turned[j]
+            moment[i] += place[j] * force[k] - place[k] * force[j]
+            energy += 0.5 * here.omega[i] * turned[i] + 0.5 * body.mass * speed[i] ** 2
+            energy -= body.mass * inertia.gravity[i] * place[i]
+        mass += body.mass
+        for i in range(3):
+            com[i] += body.mass * place[i]
+            net[i] += force[i]
+            net[3 + i] += moment[i]
+            here.force[i] += force[i] - pushed[index, i]
+            here.moment[i] += moment[i] - pushed[index, 3 + i]
+    for i in range(3):
+        com[i] /= mass
+    return energy
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_inwards(tree: Tree, nodes: Array, motion: Array, forces: Array) -> None:
+    """Hand the forces inwards and project each node's on what it is free to do."""
+    forces[:] = 0.0
+    for index in range(len(tree.nodes) - 1, -1, -1):
+        given, node, here = tree.nodes[index], nodes[index], motion[index]
+        if given.driver >= 0:
+            along = 0.0
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                if given.kind == REVOLUTE:
+                    about = here.moment[i] - node.p_lab_node[j] * here.force[k] + node.p_lab_node[k] * here.force[j]
+                    along += node.axis_lab[i] * about
+                else:
+                    along += node.axis_lab[i] * here.force[i]
+            forces[given.driver] += node.first * along
+        if given.parent >= 0:
+            parent = motion[given.parent]
+            for i in range(3):
+                parent.force[i] += here.force[i]
+                parent.moment[i] += here.moment[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a: Array, b: Array, product: Array) -> None:
+    product[0] = a[1] * b[2] - a[2] * b[1]
+    product[1] = a[2] * b[0] - a[0] * b[2]
+    product[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(R: Array, a: Array, turned: Array) -> None:
+    for i in range(3):
+        turned[i] = R[i, 0] * a[0] + R[i, 1] * a[1] + R[i, 2] * a[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_tensor(R: Array, tensor: Array, turned: Array) -> None:
+    """Fill R · tensor · Rᵀ."""
+    for i in range(3):
+        for j in range(3):
+            turned[i, j] = 0.0
+            for k in range(3):
+                for n in range(3):
+                    turned[i, j] += R[i, k] * tensor[k, n] * R[j, n]
