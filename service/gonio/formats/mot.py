@@ -7,7 +7,6 @@ header says ``inDegrees=yes``. Which columns are angles, the file does not say; 
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from gonio.errors import InputError
@@ -108,10 +107,11 @@ def write_mot(path: Path, table: Table) -> None:
         "endheader",
         "\t".join(("time", *table.labels)),
     ]
-    frame = pd.DataFrame(table.values)
-    frame.insert(0, "time", table.times_s)
-    rows = frame.to_csv(sep="\t", header=False, index=False, float_format="%.10f", na_rep="nan", lineterminator="\n")
-    path.write_text("\n".join(header) + "\n" + rows, encoding="utf-8", newline="\n")
+    row = "\t".join(["%.10f"] * (len(table.labels) + 1))
+    rows = [
+        row % (time_s, *values) for time_s, values in zip(table.times_s.tolist(), table.values.tolist(), strict=True)
+    ]
+    path.write_text("\n".join([*header, *rows, ""]), encoding="utf-8", newline="\n")
 
 
 def table_of_motion(motion: Motion) -> Table:

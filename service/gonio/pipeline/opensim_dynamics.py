@@ -48,7 +48,7 @@ def run_dynamics(setup_file: Path) -> tuple[Dynamics, SmoothMotion, ToolResult]:
             hint="Change the setup's <time_range>.",
         )
     motion = differentiate(times_s, q, setup.cutoff_hz, setup.time_range_s)
-    wrenches = _read_wrenches(setup.loads_file, model, motion) if setup.loads_file is not None else ()
+    wrenches = read_wrenches(setup.loads_file, model, motion) if setup.loads_file is not None else ()
     dynamics = solve_dynamics(model, motion.q, motion.velocity, motion.acceleration, wrenches)
     output = setup.output_file or setup_file.with_name("inverse_dynamics.sto")
     write_mot(output, table_of_forces(model, motion, dynamics))
@@ -96,18 +96,27 @@ def _read_coordinates(
     return table.times_s, q, tuple(remarks)
 
 
-def _read_wrenches(loads_file: Path, model: BodyModel, motion: SmoothMotion) -> tuple[Wrench, ...]:
+def read_wrenches(loads_file: Path, model: BodyModel, motion: SmoothMotion) -> tuple[Wrench, ...]:
     """Read the external loads and interpolate them to the motion's times."""
     loads = read_external_loads(loads_file)
     table = read_mot(loads.data_file)
-    poses = body_poses(model, motion.q)
+    given_at = {name: i for i, name in enumerate(table.labels)}
+    sampled = interpolate_forces(table.times_s, table.values, motion.times_s)
 
     def columns(identifier: str) -> Float[np.ndarray, "frame 3"] | None:  # of x, y, z; None where there are none
         if not identifier:
             return None
-        given = np.stack([table.of(f"{identifier}{axis}") for axis in "xyz"], axis=1)
-        return interpolate_forces(table.times_s, given, motion.times_s)
+        labels = [f"{identifier}{axis}" for axis in "xyz"]
+        if missing := [label for label in labels if label not in given_at]:
+            raise InputError(
+                f"{loads.data_file.name} has no column {missing[0]}, which {loads_file.name} names.",
+                hint=f"It has: {', '.join(table.labels)}.",
+            )
+        return sampled[:, [given_at[label] for label in labels]]
 
+    elsewhere = {frame for force in loads.forces for frame in (force.force_expressed_in, force.point_expressed_in)}
+    needs_poses = bool(elsewhere - GROUND_NAMES) or any(not force.point for force in loads.forces)
+    poses = body_poses(model, motion.q) if needs_poses else np.empty((len(motion.q), 0, 4, 4))
     return tuple(
         _wrench(given, model, poses, columns(given.force), columns(given.point), columns(given.torque))
         for given in loads.forces
@@ -123,14 +132,13 @@ def _wrench(
     torque: Float[np.ndarray, "frame 3"] | None,
 ) -> Wrench:
     """Bring one external force to the lab; without a point it acts at the body's origin."""
-    frames = len(poses)
-    body = poses[:, model.bodies.index(given.body)]
+    frames, body = len(poses), model.bodies.index(given.body)
     pull = np.zeros((frames, 3)) if force is None else force
     twist = np.zeros((frames, 3)) if torque is None else torque
     if given.force_expressed_in not in GROUND_NAMES:
         R_lab_frame = poses[:, model.bodies.index(given.force_expressed_in), :3, :3]
         pull, twist = np.einsum("fij,fj->fi", R_lab_frame, pull), np.einsum("fij,fj->fi", R_lab_frame, twist)
-    place = body[:, :3, 3] if point is None else point
+    place = poses[:, body, :3, 3] if point is None else point
     if point is not None and given.point_expressed_in not in GROUND_NAMES:
         frame = poses[:, model.bodies.index(given.point_expressed_in)]
         place = np.einsum("fij,fj->fi", frame[:, :3, :3], point) + frame[:, :3, 3]

@@ -21,7 +21,7 @@ from gonio.kernel.body.tree import COORDINATE_POSE, NODE_POSE, Array, Tree, coup
 from gonio.kernel.parallel import over_blocks
 from gonio.records import REVOLUTE, BodyModel, record
 
-_BLOCK = 256  # frames that one thread takes at a time
+_BLOCK = 64  # frames that one thread takes at a time
 
 NODE_MOTION = np.dtype(
     [
@@ -216,8 +216,7 @@ def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Arra
 def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array) -> float:
     """Give each node the force that its bodies need, less what pushes them; fill the whole body's; give the energy."""
     arm, place, speed, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    force, moment = np.empty(3), np.empty(3)
-    spin = np.empty((3, 3))
+    force, moment, own, spin = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     com[:] = 0.0
     net[:] = 0.0
     mass = energy = 0.0
@@ -233,15 +232,21 @@ def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, c
             force[i] = here.acceleration[i] + here.alpha[j] * arm[k] - here.alpha[k] * arm[j]
             force[i] += here.omega[j] * turned[k] - here.omega[k] * turned[j] - inertia.gravity[i]
             force[i] *= body.mass
-        _turn_tensor(node.R_lab_node, body.inertia_node, spin)
-        _turn(spin, here.omega, turned)  # the angular momentum about the centre of mass
+        # Euler's equation in the node's frame, where the inertia stays the same.
+        _turn_back(node.R_lab_node, here.omega, own)
+        _turn(body.inertia_node, own, spin)
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
-            moment[i] = spin[i, 0] * here.alpha[0] + spin[i, 1] * here.alpha[1] + spin[i, 2] * here.alpha[2]
-            moment[i] += here.omega[j] * turned[k] - here.omega[k] * turned[j]
+            energy += 0.5 * own[i] * spin[i] + body.mass * (0.5 * speed[i] ** 2 - inertia.gravity[i] * place[i])
+            moment[i] = own[j] * spin[k] - own[k] * spin[j]
+        _turn_back(node.R_lab_node, here.alpha, own)
+        _turn(body.inertia_node, own, spin)
+        for i in range(3):
+            spin[i] += moment[i]
+        _turn(node.R_lab_node, spin, moment)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
             moment[i] += place[j] * force[k] - place[k] * force[j]
-            energy += 0.5 * here.omega[i] * turned[i] + 0.5 * body.mass * speed[i] ** 2
-            energy -= body.mass * inertia.gravity[i] * place[i]
         mass += body.mass
         for i in range(3):
             com[i] += body.mass * place[i]
@@ -291,11 +296,6 @@ def _turn(R: Array, a: Array, turned: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _turn_tensor(R: Array, tensor: Array, turned: Array) -> None:
-    """Fill R · tensor · Rᵀ."""
+def _turn_back(R: Array, a: Array, turned: Array) -> None:
     for i in range(3):
-        for j in range(3):
-            turned[i, j] = 0.0
-            for k in range(3):
-                for n in range(3):
-                    turned[i, j] += R[i, k] * tensor[k, n] * R[j, n]
+        turned[i] = R[0, i] * a[0] + R[1, i] * a[1] + R[2, i] * a[2]
