@@ -17,7 +17,7 @@ from gonio.kernel.body.markerset import attach
 from gonio.kernel.body.scaling import scale_model
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline import report as report_module
-from gonio.pipeline.body import fit_motion, markerset_for, scale_to_subject
+from gonio.pipeline.body import choose_markerset, fit_motion, scale_to_subject
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.params import Parameters, Subject
@@ -37,7 +37,8 @@ def walker() -> BodyModel:
     """The built-in body, 5 % larger than its table."""
     card = load_card("blazepose_heavy").keypoints
     assert card is not None
-    model = attach(read_osim(models_dir() / "bodies" / "fullbody_male.osim"), markerset_for(card.names))
+    generic = read_osim(models_dir() / "bodies" / "fullbody_male.osim")
+    model = attach(generic, choose_markerset(generic, card.names))
     return scale_model(model, np.full((len(model.bodies.names), 3), 1.05), mass_kg=72.6)
 
 

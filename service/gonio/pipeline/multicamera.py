@@ -20,7 +20,7 @@ def analyse(
     """Compute a gait report from the files of one session.
 
     Args:
-        capture_files: The videos and the calibration.
+        capture_files: The videos and the calibration; the lab's own body model and its marker set, if it has them.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -44,7 +44,7 @@ def analyse(
     refined = runner("cameras", lambda _: refine_cameras(synchronous, capture.rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
     points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
-    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject))
+    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda _: fit_motion(body, points))
 
     analysis = Analysis(

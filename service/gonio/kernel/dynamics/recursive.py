@@ -63,13 +63,15 @@ class Dynamics:
     """The forces behind a motion, and the whole body's momentum.
 
     ``forces`` are the generalized forces of the coordinates (N for slides, Nm for turns; 0 for dependent and locked ones):
-    of the joints, and for the root's coordinates the residual that nothing provides. ``net_force_n`` and ``net_moment_nm``
+    of the joints, and for the root's coordinates the residual that nothing provides. ``powers_w`` are those forces times the
+    coordinates' rates: what each joint gives (+) or takes. ``net_force_n`` and ``net_moment_nm``
     (about the lab's origin) are what the motion needs from outside in all, gravity apart; ``energy_j`` is kinetic plus
     potential.
     """
 
     coordinate_names: tuple[str, ...]
     forces: Float[np.ndarray, "frame coordinate"]
+    powers_w: Float[np.ndarray, "frame coordinate"]
     com_lab_m: Float[np.ndarray, "frame 3"]
     net_force_n: Float[np.ndarray, "frame 3"]
     net_moment_nm: Float[np.ndarray, "frame 3"]
@@ -133,6 +135,7 @@ def solve_dynamics(
     return Dynamics(
         coordinate_names=model.coordinates.names,
         forces=forces,
+        powers_w=forces * rates,
         com_lab_m=com,
         net_force_n=net[:, :3],
         net_moment_nm=net[:, 3:],
@@ -215,47 +218,65 @@ def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Arra
 @njit(cache=True, error_model="numpy")
 def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array) -> float:
     """Give each node the force that its bodies need, less what pushes them; fill the whole body's; give the energy."""
-    arm, place, speed, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    force, moment, own, spin = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    place, force, moment = np.empty(3), np.empty(3), np.empty(3)
     com[:] = 0.0
     net[:] = 0.0
     mass = energy = 0.0
     for index in range(len(inertia.bodies)):
         body = inertia.bodies[index]
         node, here = nodes[body.node], motion[body.node]
-        _turn(node.R_lab_node, body.com_node, arm)
-        _cross(here.omega, arm, turned)
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            place[i] = node.p_lab_node[i] + arm[i]
-            speed[i] = here.velocity[i] + turned[i]
-            force[i] = here.acceleration[i] + here.alpha[j] * arm[k] - here.alpha[k] * arm[j]
-            force[i] += here.omega[j] * turned[k] - here.omega[k] * turned[j] - inertia.gravity[i]
-            force[i] *= body.mass
-        # Euler's equation in the node's frame, where the inertia stays the same.
-        _turn_back(node.R_lab_node, here.omega, own)
-        _turn(body.inertia_node, own, spin)
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            energy += 0.5 * own[i] * spin[i] + body.mass * (0.5 * speed[i] ** 2 - inertia.gravity[i] * place[i])
-            moment[i] = own[j] * spin[k] - own[k] * spin[j]
-        _turn_back(node.R_lab_node, here.alpha, own)
-        _turn(body.inertia_node, own, spin)
-        for i in range(3):
-            spin[i] += moment[i]
-        _turn(node.R_lab_node, spin, moment)
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            moment[i] += place[j] * force[k] - place[k] * force[j]
+        energy += _need_force(body, node, here, inertia.gravity, place, force)
+        energy += _need_moment(body, node, here, moment)
         mass += body.mass
         for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            about_lab = moment[i] + place[j] * force[k] - place[k] * force[j]
             com[i] += body.mass * place[i]
             net[i] += force[i]
-            net[3 + i] += moment[i]
+            net[3 + i] += about_lab
             here.force[i] += force[i] - pushed[index, i]
-            here.moment[i] += moment[i] - pushed[index, 3 + i]
+            here.moment[i] += about_lab - pushed[index, 3 + i]
     for i in range(3):
         com[i] /= mass
+    return energy
+
+
+@njit(cache=True, error_model="numpy")
+def _need_force(body: Array, node: Array, here: Array, gravity: Array, place: Array, force: Array) -> float:
+    """Fill a body's centre of mass and the force it needs, m (a − g); give its energy, rotation apart."""
+    arm, turned = np.empty(3), np.empty(3)
+    _turn(node.R_lab_node, body.com_node, arm)
+    _cross(here.omega, arm, turned)
+    energy = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        place[i] = node.p_lab_node[i] + arm[i]
+        acceleration = here.acceleration[i] + here.alpha[j] * arm[k] - here.alpha[k] * arm[j]
+        acceleration += here.omega[j] * turned[k] - here.omega[k] * turned[j]
+        force[i] = body.mass * (acceleration - gravity[i])
+        energy += body.mass * (0.5 * (here.velocity[i] + turned[i]) ** 2 - gravity[i] * place[i])
+    return energy
+
+
+@njit(cache=True, error_model="numpy")
+def _need_moment(body: Array, node: Array, here: Array, moment: Array) -> float:
+    """Fill the moment about its centre of mass that a body needs; give its energy of rotation.
+
+    By Euler's equation in the node's frame, where the inertia stays the same.
+    """
+    own, spin = np.empty(3), np.empty(3)
+    _turn_back(node.R_lab_node, here.omega, own)
+    _turn(body.inertia_node, own, spin)
+    energy = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        energy += 0.5 * own[i] * spin[i]
+        moment[i] = own[j] * spin[k] - own[k] * spin[j]
+    _turn_back(node.R_lab_node, here.alpha, own)
+    _turn(body.inertia_node, own, spin)
+    for i in range(3):
+        spin[i] += moment[i]
+    _turn(node.R_lab_node, spin, moment)
     return energy
 
 
