@@ -170,18 +170,19 @@ def _solve_frames(  # noqa: PLR0913 - what it fills is passed in
     coordinates = np.zeros(len(tree.couplings), dtype=COORDINATE_POSE)
     nodes = np.zeros(len(tree.nodes), dtype=NODE_POSE)
     motion = np.zeros(len(tree.nodes), dtype=NODE_MOTION)
+    work = np.empty((5, 3))  # scratch: an array made anew for each body would cost as much as its mechanics
     for frame in range(start, stop):
         couple_coordinates(tree, q[frame], coordinates)
         pose_nodes(tree, q[frame], coordinates, nodes)
-        _move_outwards(tree, nodes, velocity[frame], acceleration[frame], motion)
-        energy[frame] = _load_bodies(inertia, nodes, motion, pushed[frame], com[frame], net[frame])
+        _move_outwards(tree, nodes, velocity[frame], acceleration[frame], motion, work)
+        energy[frame] = _load_bodies(inertia, nodes, motion, pushed[frame], com[frame], net[frame], work)
         _gather_inwards(tree, nodes, motion, forces[frame])
 
 
 @njit(cache=True, error_model="numpy")
-def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Array, motion: Array) -> None:
+def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Array, motion: Array, work: Array) -> None:
     """Fill the nodes' velocities and accelerations, and clear their forces."""
-    arm, turned = np.empty(3), np.empty(3)
+    arm, turned = work[3], work[4]
     for index in range(len(tree.nodes)):
         given, node, here = tree.nodes[index], nodes[index], motion[index]
         rate = rate2 = 0.0
@@ -216,17 +217,19 @@ def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Arra
 
 
 @njit(cache=True, error_model="numpy")
-def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array) -> float:
+def _load_bodies(
+    inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array, work: Array
+) -> float:
     """Give each node the force that its bodies need, less what pushes them; fill the whole body's; give the energy."""
-    place, force, moment = np.empty(3), np.empty(3), np.empty(3)
+    place, force, moment = work[0], work[1], work[2]
     com[:] = 0.0
     net[:] = 0.0
     mass = energy = 0.0
     for index in range(len(inertia.bodies)):
         body = inertia.bodies[index]
         node, here = nodes[body.node], motion[body.node]
-        energy += _need_force(body, node, here, inertia.gravity, place, force)
-        energy += _need_moment(body, node, here, moment)
+        energy += _need_force(body, node, here, inertia.gravity, place, force, work)
+        energy += _need_moment(body, node, here, moment, work)
         mass += body.mass
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
@@ -242,9 +245,11 @@ def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, c
 
 
 @njit(cache=True, error_model="numpy")
-def _need_force(body: Array, node: Array, here: Array, gravity: Array, place: Array, force: Array) -> float:
+def _need_force(
+    body: Array, node: Array, here: Array, gravity: Array, place: Array, force: Array, work: Array
+) -> float:
     """Fill a body's centre of mass and the force it needs, m (a − g); give its energy, rotation apart."""
-    arm, turned = np.empty(3), np.empty(3)
+    arm, turned = work[3], work[4]
     _turn(node.R_lab_node, body.com_node, arm)
     _cross(here.omega, arm, turned)
     energy = 0.0
@@ -259,12 +264,12 @@ def _need_force(body: Array, node: Array, here: Array, gravity: Array, place: Ar
 
 
 @njit(cache=True, error_model="numpy")
-def _need_moment(body: Array, node: Array, here: Array, moment: Array) -> float:
+def _need_moment(body: Array, node: Array, here: Array, moment: Array, work: Array) -> float:
     """Fill the moment about its centre of mass that a body needs; give its energy of rotation.
 
     By Euler's equation in the node's frame, where the inertia stays the same.
     """
-    own, spin = np.empty(3), np.empty(3)
+    own, spin = work[3], work[4]
     _turn_back(node.R_lab_node, here.omega, own)
     _turn(body.inertia_node, own, spin)
     energy = 0.0
