@@ -85,7 +85,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     delays, points = runner("synchronization", lambda _: synchronize(points, rig, chosen.reconstruction))
     refined = runner("cameras", lambda _: refine_cameras(points, rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(points, refined.rig, chosen.reconstruction))
-    smoothed = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
+    smoothed = runner("smoothing", lambda _: smooth(points, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(smoothed, chosen.subject))
     motion = runner("kinematics", lambda _: fit_motion(body, smoothed))
     pictures = []

@@ -105,6 +105,8 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
     before, after = segment_lengths_m(analysis.raw.points), segment_lengths_m(analysis.points)
     return Reconstruction(
         method=analysis.parameters.reconstruction.method,
+        smoothing=analysis.parameters.reconstruction.smoothing,
+        looks_hz=round(analysis.keypoints.points.sampled.timebase.rate_hz, 3),
         keypoint_model=analysis.parameters.keypoints.model,
         observations=int(np.isfinite(error_px).sum()),
         reprojection_mean_px=number(mean(error_px)),

@@ -35,15 +35,13 @@ def analyse(
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
     capture = runner("capture", lambda _: read_capture(capture_files, rig))
-    keypoints = runner(
-        "keypoints", lambda progress: find_keypoints(capture, chosen.keypoints.model, output_dir, progress)
-    )
+    keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
     delays, synchronous = runner(
         "synchronization", lambda _: synchronize(keypoints.points, capture.rig, chosen.reconstruction)
     )
     refined = runner("cameras", lambda _: refine_cameras(synchronous, capture.rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
-    points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
+    points = runner("smoothing", lambda _: smooth(synchronous, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda _: fit_motion(body, points))
 

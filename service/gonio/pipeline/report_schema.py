@@ -51,7 +51,9 @@ class CameraReport(_Model):
     recorded_rate_hz: float
     recorded_frames: int
     observations: Annotated[int, Field(description="Keypoints of the subject that were used in triangulation.")]
-    seen_fraction: Annotated[float, Field(description="Share of frames in which this camera saw the subject.")]
+    seen_fraction: Annotated[
+        float, Field(description="Share of the frames looked at in which this camera saw the subject.")
+    ]
     reprojection_mean_px: float | None
     reprojection_median_px: float | None
     bias_u_px: Annotated[float | None, Field(description="Mean residual to the right; a good calibration leaves 0.")]
@@ -77,6 +79,8 @@ class Reconstruction(_Model):
     """From image points to lab points."""
 
     method: str
+    smoothing: str
+    looks_hz: Annotated[float, Field(description="How often a second keypoints were looked for in each camera.")]
     keypoint_model: str
     observations: int
     reprojection_mean_px: float | None

@@ -8,6 +8,7 @@ neighbours in time, within stated limits.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -66,7 +67,7 @@ def fuse(
 
     A keypoint that was triangulated in fewer than two frames is NaN.
     """
-    cameras, frames, keypoints = confidence.shape
+    frames, keypoints = confidence.shape[1:]
     weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
     xyz = _filled(start)
     depth_m = np.einsum("ci,fki->cfk", projections[:, 2, :3], xyz) + projections[:, 2, 3, None, None]
@@ -83,15 +84,9 @@ def fuse(
     def solve(first: int, last: int) -> None:
         for k in range(first, last):
             if np.isfinite(xyz[:, k]).all():
-                xyz[:, k], covariance[:, k], kept[:, :, k] = _fuse_track(
-                    P,
-                    np.ascontiguousarray(px_per_m[:, :, k]),
-                    np.ascontiguousarray(seen[:, :, k]),
-                    np.ascontiguousarray(weight[:, :, k]),
-                    np.ascontiguousarray(xyz[:, k]),
-                    stiffness,
-                    scales,
-                )
+                observed = (np.ascontiguousarray(values[:, :, k]) for values in (px_per_m, seen, weight))
+                fused = _fuse_track(_Track(P, *observed), np.ascontiguousarray(xyz[:, k]), stiffness, scales)
+                xyz[:, k], covariance[:, k], kept[:, :, k] = fused
 
     over_blocks(solve, keypoints, 1)
     return FusedTracks(xyz_lab_m=xyz, covariance_m2=covariance, camera_weight=kept)
@@ -134,24 +129,31 @@ def _filled(start: Float[np.ndarray, "frame keypoint 3"]) -> Float[np.ndarray, "
     return filled
 
 
+class _Track(NamedTuple):
+    """One keypoint's observations, for compiled code."""
+
+    projections: Array  # (camera, 3, 4)
+    px_per_m: Array  # (camera, frame)
+    uv_px: Array  # (camera, frame, 2)
+    weight: Array  # (camera, frame)
+
+
 @njit(cache=True, nogil=True)
-def _fuse_track(
-    projections: Array, px_per_m: Array, uv_px: Array, weight: Array, start: Array, stiffness: float, scales: Array
-) -> tuple[Array, Array, Array]:
-    """Estimate one keypoint's track: ``uv_px`` (camera, frame, 2), ``weight`` (camera, frame), ``start`` (frame, 3)."""
+def _fuse_track(track: _Track, start: Array, stiffness: float, scales: Array) -> tuple[Array, Array, Array]:
+    """Estimate one keypoint's track from ``start`` (frame, 3); also give its covariance and the weights that are kept."""
     frames = len(start)
     x = start.copy()
     band, right = np.zeros((3 * frames, BAND)), np.zeros(3 * frames)
-    kept = np.zeros(weight.shape)
+    kept = np.zeros(track.weight.shape)
     for scale_m in scales:
-        _assemble(projections, px_per_m, uv_px, weight, x, stiffness, scale_m, band, right, kept)
+        _assemble(track, x, stiffness, scale_m, band, right, kept)
         if not factorise(band):
             break
         substitute(band, right)
         for t in range(frames):
             for i in range(3):
                 x[t, i] += right[3 * t + i]
-    _assemble(projections, px_per_m, uv_px, weight, x, stiffness, scales[-1], band, right, kept)
+    _assemble(track, x, stiffness, scales[-1], band, right, kept)
     covariance = np.full((frames, 3, 3), np.nan)
     if factorise(band):
         inverse = np.zeros_like(band)
@@ -165,16 +167,7 @@ def _fuse_track(
 
 @njit(cache=True, nogil=True)
 def _assemble(
-    projections: Array,
-    px_per_m: Array,
-    uv_px: Array,
-    weight: Array,
-    x: Array,
-    stiffness: float,
-    scale_m: float,
-    band: Array,
-    right: Array,
-    kept: Array,
+    track: _Track, x: Array, stiffness: float, scale_m: float, band: Array, right: Array, kept: Array
 ) -> None:
     """Fill the normal equations at ``x``: the observations' and the penalty's."""
     band[:] = 0.0
@@ -183,12 +176,10 @@ def _assemble(
     for t in range(frames):
         for i in range(3):
             band[3 * t + i, 0] += LOWEST_INFORMATION
-        for c in range(len(projections)):
+        for c in range(len(track.projections)):
             kept[c, t] = 0.0
-            if weight[c, t] > 0.0:
-                kept[c, t] = _add_observation(
-                    projections[c], px_per_m[c, t], uv_px[c, t], weight[c, t], x[t], scale_m, 3 * t, band, right
-                )
+            if track.weight[c, t] > 0.0:
+                kept[c, t] = _add_observation(track, c, t, x[t], scale_m, band, right)
     signs = (-1.0, 3.0, -3.0, 1.0)
     for t in range(frames - 3):
         for i in range(3):
@@ -200,29 +191,20 @@ def _assemble(
 
 
 @njit(cache=True, nogil=True)
-def _add_observation(
-    p: Array,
-    px_per_m: float,
-    uv_px: Array,
-    weight: float,
-    x: Array,
-    scale_m: float,
-    row: int,
-    band: Array,
-    right: Array,
-) -> float:
+def _add_observation(track: _Track, c: int, t: int, x: Array, scale_m: float, band: Array, right: Array) -> float:
     """Add one camera's observation of one frame; give the share of its weight that the loss leaves."""
+    p, row = track.projections[c], 3 * t
     depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
     if depth <= 0.05:  # m
         return 0.0
     error, slope = np.empty(2), np.empty((2, 3))
     for axis in range(2):
         projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) / depth
-        error[axis] = uv_px[axis] - projected
+        error[axis] = track.uv_px[c, t, axis] - projected
         for i in range(3):
             slope[axis, i] = (p[axis, i] - projected * p[2, i]) / depth
-    share = 1.0 / (1.0 + (error[0] ** 2 + error[1] ** 2) / (px_per_m * scale_m) ** 2)
-    precision = weight * share / SIGMA_PX**2
+    share = 1.0 / (1.0 + (error[0] ** 2 + error[1] ** 2) / (track.px_per_m[c, t] * scale_m) ** 2)
+    precision = track.weight[c, t] * share / SIGMA_PX**2
     for axis in range(2):
         for i in range(3):
             right[row + i] += precision * slope[axis, i] * error[axis]
