@@ -25,8 +25,10 @@ from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
+    "FEET",
     "FILLED",
     "FIXED",
     "GROUND",
@@ -46,6 +48,7 @@ __all__ = [
     "CoordinatePrior",
     "Coordinates",
     "Finding",
+    "FootEvents",
     "Functions",
     "ImagePoints",
     "JointTree",
@@ -56,8 +59,11 @@ __all__ = [
     "Motion",
     "Rig",
     "Severity",
+    "Steps",
     "Tasks",
     "Timebase",
     "View",
+    "Walk",
+    "WalkTruth",
     "record",
 ]
