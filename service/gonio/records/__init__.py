@@ -25,21 +25,28 @@ from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
 from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
+    "BURST",
+    "DROPPED",
     "FEET",
     "FILLED",
     "FIXED",
     "GROUND",
+    "HIDDEN",
     "MEASURED",
     "MISSING",
     "NOT_CONVERGED",
+    "OUTSIDE",
     "PARTIAL",
     "PRISMATIC",
+    "PULLED",
     "REJECTED",
     "REVOLUTE",
     "SOLVED",
+    "SWAPPED",
     "TOO_FEW_MARKERS",
     "Bodies",
     "BodyModel",
@@ -63,6 +70,7 @@ __all__ = [
     "Tasks",
     "Timebase",
     "View",
+    "VirtualTrial",
     "Walk",
     "WalkTruth",
     "record",

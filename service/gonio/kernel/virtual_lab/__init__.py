@@ -1,6 +1,42 @@
-"""The virtual laboratory: people, cameras and soles whose truth is known."""
+"""The virtual laboratory: people, cameras and soles whose truth is known.
 
+::
+
+    walker = walk(grow(body, stature_m=1.70, mass_kg=65.0), speed_m_s=1.2)
+    trial = film(walker, make_rig(), markerset, effects=PRESETS["occluded"], seed=1)
+
+``trial.points`` and ``trial.rig`` are what a laboratory would have; the rest of ``trial`` is the truth.
+"""
+
+from gonio.kernel.virtual_lab.effects import (
+    PRESETS,
+    Bursts,
+    Detector,
+    Effects,
+    Mismatch,
+    SelfOcclusion,
+    Swaps,
+)
+from gonio.kernel.virtual_lab.film import film
+from gonio.kernel.virtual_lab.rig import CalibrationErrors, Clocks, make_rig, miscalibrate
 from gonio.kernel.virtual_lab.steps import Limp
 from gonio.kernel.virtual_lab.walker import grow, truth_at, walk
 
-__all__ = ["Limp", "grow", "truth_at", "walk"]
+__all__ = [
+    "PRESETS",
+    "Bursts",
+    "CalibrationErrors",
+    "Clocks",
+    "Detector",
+    "Effects",
+    "Limp",
+    "Mismatch",
+    "SelfOcclusion",
+    "Swaps",
+    "film",
+    "grow",
+    "make_rig",
+    "miscalibrate",
+    "truth_at",
+    "walk",
+]
