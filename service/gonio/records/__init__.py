@@ -23,6 +23,7 @@ from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
+from gonio.records.pressure import FootPressure, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
 from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
@@ -56,6 +57,7 @@ __all__ = [
     "Coordinates",
     "Finding",
     "FootEvents",
+    "FootPressure",
     "Functions",
     "ImagePoints",
     "JointTree",
@@ -70,6 +72,7 @@ __all__ = [
     "Tasks",
     "Timebase",
     "View",
+    "VirtualPressure",
     "VirtualTrial",
     "Walk",
     "WalkTruth",
