@@ -26,6 +26,7 @@ from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoint
 from gonio.records.pressure import FootPressure, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.virtual_board import VirtualBoard
 from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
 from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
@@ -72,6 +73,7 @@ __all__ = [
     "Tasks",
     "Timebase",
     "View",
+    "VirtualBoard",
     "VirtualPressure",
     "VirtualTrial",
     "Walk",

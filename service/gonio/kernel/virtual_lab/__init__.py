@@ -9,6 +9,7 @@
 ``trial.points``, ``trial.rig`` and ``soles.pressure`` are what a laboratory would have; the rest is the truth.
 """
 
+from gonio.kernel.virtual_lab.boards import wave_board
 from gonio.kernel.virtual_lab.effects import (
     PRESETS,
     Bursts,
@@ -44,4 +45,5 @@ __all__ = [
     "press",
     "truth_at",
     "walk",
+    "wave_board",
 ]
