@@ -35,7 +35,7 @@ def trial_and_state(rig: Rig) -> tuple[Trial, State]:
     uv = undistort_rig(rig, np.stack([project(c, marker_positions(model, q)) for c in rig.cameras]))
     uv += rng.normal(0, 6, uv.shape)
     confidence = np.where(rng.random(uv.shape[:3]) < 0.2, 0.0, rng.uniform(0.4, 1.0, uv.shape[:3]))
-    priors = make_priors(model, markerset, rig, 60.0, 5.0)
+    priors = make_priors(model, markerset, rig, 60.0, np.full(len(rig.cameras), 5.0))
     trial = Trial(
         model=model,
         projections=projection_matrices(rig),

@@ -1,4 +1,4 @@
-"""Stages ``scaling`` and ``kinematics``: the body model made the subject's, and its joint angles in every frame."""
+"""Stage ``scaling``: the body model made the subject's."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,18 +12,14 @@ from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.markerset import attach, make_tasks
 from gonio.kernel.body.scaling import measure_scale_factors, scale_model
-from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import Subject
 from gonio.pipeline.run import CaptureFile, Outcome, Role
 from gonio.records import (
-    NOT_CONVERGED,
-    TOO_FEW_MARKERS,
     BodyModel,
     Finding,
     LabPoints,
     MarkerSet,
-    Motion,
     Tasks,
     record,
 )
@@ -35,6 +31,7 @@ class SubjectBody:
     """The body model in the subject's size, with the keypoints as its markers, and how inverse kinematics weighs them."""
 
     model: BodyModel
+    markerset: MarkerSet
     tasks: Tasks
     file: Path
     scales: Float[np.ndarray, "body 3"]
@@ -63,31 +60,8 @@ def scale_to_subject(points: LabPoints, subject: Subject, files: Sequence[Captur
         findings.append(finding("mass-unknown", value=model.mass_kg))
     if subject.sex is None and own is None:
         findings.append(finding("sex-unknown"))
-    body = SubjectBody(model=model, tasks=make_tasks(model, markerset), file=file, scales=scales)
+    body = SubjectBody(model=model, markerset=markerset, tasks=make_tasks(model, markerset), file=file, scales=scales)
     return Outcome(body, tuple(findings))
-
-
-def fit_motion(body: SubjectBody, points: LabPoints) -> Outcome[Motion]:
-    """Find the joint angles of every frame, and judge the fit."""
-    times_s = points.timebase.times_s(len(points.xyz_lab_m))
-    motion = solve_motion(body.model, body.tasks, in_marker_order(body.model, points), times_s)
-    return Outcome(motion, judge_motion(motion))
-
-
-def judge_motion(motion: Motion) -> tuple[Finding, ...]:
-    """Find what the reader has to know about the body fit."""
-    findings: list[Finding] = []
-    unsolved = 100 * float((motion.status == TOO_FEW_MARKERS).mean())
-    if unsolved > 0:
-        findings.append(finding("frames-unsolved", value=unsolved, severity="serious" if unsolved > 50 else None))
-    diverged = 100 * float((motion.status == NOT_CONVERGED).mean())
-    if diverged > 0:
-        findings.append(finding("frames-not-converged", value=diverged))
-    known = motion.residual_rms_m[np.isfinite(motion.residual_rms_m)]
-    if known.size and known.mean() > 0.04:  # good markerless points leave 20 to 30 mm
-        severe = "serious" if known.mean() > 0.08 else None
-        findings.append(finding("body-fit-poor", value=1e3 * float(known.mean()), severity=severe))
-    return tuple(findings)
 
 
 def only_file(files: Sequence[CaptureFile], role: Role) -> Path | None:

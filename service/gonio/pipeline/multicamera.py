@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gonio.pipeline.body import fit_motion, scale_to_subject
+from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import find_keypoints
+from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
@@ -43,7 +44,7 @@ def analyse(
     raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
     points = runner("smoothing", lambda _: smooth(synchronous, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
-    motion = runner("kinematics", lambda _: fit_motion(body, points))
+    motion = runner("kinematics", lambda _: fit_motion(body, points, synchronous, raw.rig, chosen))
 
     analysis = Analysis(
         files=tuple(capture_files),

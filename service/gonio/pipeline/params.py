@@ -75,12 +75,26 @@ class ReconstructionParameters:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class KinematicsParameters:
+    """How the joint angles are found."""
+
+    method: Annotated[
+        Literal["pixels", "points"],
+        Field(
+            description="`pixels`: the body is fitted to all cameras' keypoints over the whole trial, with error bars, and "
+            "checked against `points`: inverse kinematics of the smoothed points, frame by frame."
+        ),
+    ] = "pixels"
+
+
+@dataclass(frozen=True, config=_STRICT)
 class Parameters:
     """All that a request may choose for an analysis."""
 
     subject: Subject = field(default_factory=Subject)
     keypoints: KeypointParameters = field(default_factory=KeypointParameters)
     reconstruction: ReconstructionParameters = field(default_factory=ReconstructionParameters)
+    kinematics: KinematicsParameters = field(default_factory=KinematicsParameters)
 
 
 _ADAPTER: TypeAdapter[Parameters] = TypeAdapter(Parameters)
