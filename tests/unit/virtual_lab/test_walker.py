@@ -43,8 +43,8 @@ def courses(made, truth):
 
 
 @pytest.mark.parametrize("speed", [0.9, 1.25, 1.55])
-def test_angles_forces_and_moments_are_those_of_people(man, speed):
-    made = walk(man, speed)
+def test_angles_forces_and_moments_are_those_of_people(man, walker, speed):
+    made = walker if speed == 1.25 else walk(man, speed)
     truth = truth_at(made, (1.0 + np.arange(200) / 200) * made.steps.stride_s)
     own, published = courses(made, truth)
     for name, (_, least, largest) in CURVES.items():
@@ -136,3 +136,7 @@ def test_a_speed_without_curves_is_refused_with_the_ones_that_have_them(man, spe
 def test_an_impossible_stature_is_refused(man):
     with pytest.raises(InputError, match="impossible"):
         grow(man, 17.0, 70.0)
+
+
+def test_the_same_walk_again_is_the_same(man, walker):
+    np.testing.assert_allclose(walk(man, 1.25).harmonics, walker.harmonics, rtol=0, atol=1e-12)

@@ -30,19 +30,19 @@ def corners_of(across, down, square_m):
     return np.stack([column, row, np.zeros(across * down)], axis=-1) * square_m
 
 
-def test_a_detector_finds_the_corners_where_they_are(camera):
+def test_a_detector_finds_the_corners_where_they_are():
     corners = corners_of(7, 4, 0.12)
-    rig = make_rig(focal_px=1400.0, image_size_px=(1280, 960))
+    rig = make_rig(focal_px=900.0, image_size_px=(800, 600))
     board = wave_board(corners, rig, noise_px=0.0, seed=3)
     printed, found, errors = print_checkerboard(7, 4, 0.12), 0, []
-    for frame in np.flatnonzero(np.isfinite(board.uv_px[0, :, 0, 0]))[:5]:
-        picture = draw_board(camera, board.T_lab_board[frame], printed)
+    for frame in np.flatnonzero(np.isfinite(board.uv_px[0, :, 0, 0]))[:2]:
+        picture = draw_board(rig.cameras[0], board.T_lab_board[frame], printed)
         ok, seen = cv2.findChessboardCornersSB(picture, (7, 4), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
         if ok:
             found += 1
             exact, seen = board.exact_px[0, frame], seen.reshape(-1, 2)
             errors.append(min(np.abs(seen - exact).mean(), np.abs(seen[::-1] - exact).mean()))
-    assert found >= 4
+    assert found == 2
     # OpenCV finds corners of a clean picture to about 0.05 px; a shift by half a pixel anywhere would be 0.5.
     assert np.median(errors) < 0.15
 

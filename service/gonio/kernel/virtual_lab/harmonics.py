@@ -7,6 +7,9 @@ from jaxtyping import Float
 
 from gonio.records import Walk
 
+ORDERS = 12
+"""Harmonics of the stride: up to 11 Hz in ordinary walking. Marker tracks of walkers hold next to nothing beyond."""
+
 
 class Basis(NamedTuple):
     """The functions that harmonics multiply (1, cosines, sines), and their derivatives with respect to time."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from gonio.kernel.virtual_lab.feet import Sole, directions, heels_on_floor, load_shares
+from gonio.kernel.virtual_lab.harmonics import ORDERS
 from gonio.kernel.virtual_lab.normal_gait import NormalGait
 from gonio.kernel.virtual_lab.steps import Limp, leg_length_m
 from gonio.records import FEET, BodyModel, Steps
@@ -193,6 +194,7 @@ def _lead_forces(
 
 
 def _smooth(total: Float[np.ndarray, "node 1"]) -> Float[np.ndarray, "node 1"]:
+    """Leave what a walk of so few harmonics can follow of the sum of both feet's curves, which has corners at the strikes."""
     spectrum = np.fft.rfft(total, axis=0)
-    spectrum[9:] = 0.0
+    spectrum[ORDERS + 1 :] = 0.0
     return np.fft.irfft(spectrum, n=len(total), axis=0)
