@@ -96,7 +96,7 @@ class Client:
         session_id: str,
         path: Path,
         *,
-        role: Literal["video", "calibration"] | None = None,
+        role: Literal["video", "calibration", "body_model", "marker_set"] | None = None,
         camera: str | None = None,
         name: str | None = None,
         on_progress: Callable[[int, int], None] | None = None,

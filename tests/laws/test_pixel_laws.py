@@ -11,7 +11,7 @@ from gonio.kernel.body.markerset import attach
 from gonio.kernel.geometry.cameras import project, projection_matrices, undistort_rig
 from gonio.kernel.kinematics.pixel_priors import make_priors
 from gonio.kernel.kinematics.pixel_system import State, Trial, linearise
-from gonio.pipeline.body import markerset_for
+from gonio.pipeline.body import choose_markerset
 from gonio.records import Rig
 from gonio.resources import models_dir
 from gonio.vision.model_cards import load_card
@@ -25,8 +25,9 @@ def trial_and_state(rig: Rig) -> tuple[Trial, State]:
     """A trial of seven frames around a random pose, with outliers, gaps, geometry and biases that are not zero."""
     card = load_card("blazepose_heavy").keypoints
     assert card is not None
-    markerset = markerset_for(card.names)
-    model = attach(read_osim(models_dir() / "bodies" / "fullbody_male.osim"), markerset)
+    generic = read_osim(models_dir() / "bodies" / "fullbody_male.osim")
+    markerset = choose_markerset(generic, card.names)
+    model = attach(generic, markerset)
     rng = np.random.default_rng(1)
     q = np.tile(model.coordinates.default, (FRAMES, 1))
     q += np.where(model.coordinates.rotational, 0.4, 0.05) * rng.normal(size=q.shape[1])
@@ -34,7 +35,7 @@ def trial_and_state(rig: Rig) -> tuple[Trial, State]:
     uv = undistort_rig(rig, np.stack([project(c, marker_positions(model, q)) for c in rig.cameras]))
     uv += rng.normal(0, 6, uv.shape)
     confidence = np.where(rng.random(uv.shape[:3]) < 0.2, 0.0, rng.uniform(0.4, 1.0, uv.shape[:3]))
-    priors = make_priors(model, markerset, rig, 60.0, 5.0)
+    priors = make_priors(model, markerset, rig, 60.0, np.full(len(rig.cameras), 5.0))
     trial = Trial(
         model=model,
         projections=projection_matrices(rig),

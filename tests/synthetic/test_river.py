@@ -17,9 +17,10 @@ from gonio.kernel.body.markerset import attach
 from gonio.kernel.body.scaling import scale_model
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline import report as report_module
-from gonio.pipeline.body import fit_motion, markerset_for, scale_to_subject
+from gonio.pipeline.body import choose_markerset, scale_to_subject
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import Keypoints
+from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, Subject
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import key_lines, load_report, write_report
@@ -37,7 +38,8 @@ def walker() -> BodyModel:
     """The built-in body, 5 % larger than its table."""
     card = load_card("blazepose_heavy").keypoints
     assert card is not None
-    model = attach(read_osim(models_dir() / "bodies" / "fullbody_male.osim"), markerset_for(card.names))
+    generic = read_osim(models_dir() / "bodies" / "fullbody_male.osim")
+    model = attach(generic, choose_markerset(generic, card.names))
     return scale_model(model, np.full((len(model.bodies.names), 3), 1.05), mass_kg=72.6)
 
 
@@ -84,9 +86,9 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     delays, points = runner("synchronization", lambda _: synchronize(points, rig, chosen.reconstruction))
     refined = runner("cameras", lambda _: refine_cameras(points, rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(points, refined.rig, chosen.reconstruction))
-    smoothed = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
+    smoothed = runner("smoothing", lambda _: smooth(points, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(smoothed, chosen.subject))
-    motion = runner("kinematics", lambda _: fit_motion(body, smoothed))
+    motion = runner("kinematics", lambda _: fit_motion(body, smoothed, points, raw.rig, chosen))
     pictures = []
     for name in rig.names:
         path = tmp_path / f"{name}.jpg"
@@ -124,11 +126,11 @@ def test_the_angles_are_those_of_the_walker(analysis: Analysis) -> None:
     truth = gait(model)
     inner = slice(10, -10)  # filters know less at the ends
     for name in ("hip_flexion_r", "knee_angle_r", "ankle_angle_r", "hip_flexion_l", "knee_angle_l", "ankle_angle_l"):
-        error = np.rad2deg(analysis.motion.of(name) - truth[:, model.coordinates.index(name)])[inner]
+        error = np.rad2deg(analysis.motion.motion.of(name) - truth[:, model.coordinates.index(name)])[inner]
         # 2 px are 10 mm at 5 m; three or four cameras, the median and 6 of 30 Hz leave some 3 mm a point. Across a shank
         # of 0.4 m two such points are 0.6°; the ankle has a foot of 0.2 m: 1.5°. Twice that for the walker's pelvis tilt.
         assert np.sqrt(np.mean(error**2)) < (3.0 if "ankle" in name or "hip" in name else 1.5), name
-    assert np.nanmean(analysis.motion.residual_rms_m) < 0.012
+    assert np.nanmean(analysis.motion.motion.residual_rms_m) < 0.012
     assert analysis.body.scales[model.bodies.index("tibia_r"), 1] == pytest.approx(1.05, abs=0.01)
 
 
@@ -153,7 +155,7 @@ def test_the_report_is_written_for_people_programs_and_opensim(
     assert not page.xpath("//script | //link | //img[not(starts-with(@src, 'data:'))]")
     trc, mot = (read_trc(written.others[0]), read_mot(written.others[1]))
     np.testing.assert_allclose(trc.xyz_m, analysis.points.xyz_lab_m, atol=1e-5)
-    assert mot.labels == analysis.motion.coordinate_names
+    assert mot.labels == analysis.motion.motion.coordinate_names
 
 
 def test_a_result_without_a_single_solved_frame_is_still_a_report(
@@ -163,7 +165,7 @@ def test_a_result_without_a_single_solved_frame_is_still_a_report(
     weights.write_bytes(b"weights")
     monkeypatch.setattr(report_module, "ensure_weights", lambda *_args, **_named: weights)
     blind = replace(analysis.points, xyz_lab_m=np.full_like(analysis.points.xyz_lab_m, np.nan))
-    motion = fit_motion(analysis.body, blind)
+    motion = fit_motion(analysis.body, blind, analysis.keypoints.points, analysis.raw.rig, analysis.parameters)
     assert [f.code for f in motion.findings] == ["frames-unsolved"]
     written = write_report(replace(analysis, points=blind, motion=motion.value), motion.findings, tmp_path)
     document = json.loads(written.document.read_text())

@@ -10,8 +10,8 @@ from gonio.bench import Bench
 from gonio.bench.peers import peer_python, run_in_peer
 from gonio.errors import GonioError
 from gonio.kernel.body.forward import marker_positions
-from gonio.kernel.kinematics.inverse import solve_motion
-from gonio.pipeline.body import in_marker_order, scale_to_subject
+from gonio.pipeline.body import scale_to_subject
+from gonio.pipeline.motion import BodyMotion, fit_points
 from gonio.pipeline.params import Subject
 from gonio.pipeline.report import write_opensim_files
 from gonio.records import MEASURED, LabPoints, Motion, Timebase
@@ -35,9 +35,9 @@ def run(build_dir: Path) -> dict[str, Any]:
 def _measure(bench: Bench, python: Path, folder: Path) -> None:
     points = _walk()
     body = scale_to_subject(points, Subject(mass_kg=72.6, sex="male")).value
-    times_s = points.timebase.times_s(FRAMES)
-    motion = solve_motion(body.model, body.tasks, in_marker_order(body.model, points), times_s)
-    trc, mot, osim = write_opensim_files(points, body, motion, folder)
+    motion = fit_points(body, points)
+    found = BodyMotion(motion=motion, model=body.model, two_step=motion, fit=None, distrusted="")
+    trc, mot, osim = write_opensim_files(points, found, body.file, folder)
     run_in_peer(python, "opensim_files", trc, mot, osim, folder / "read.npz")
     read = np.load(folder / "read.npz")
     _compare(bench, points, motion, read)

@@ -7,7 +7,6 @@ header says ``inDegrees=yes``. Which columns are angles, the file does not say; 
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from gonio.errors import InputError
@@ -25,9 +24,18 @@ class Table:
     in_degrees: bool
 
     def of(self, label: str) -> Float[np.ndarray, " row"]:
-        """Give one column by its label."""
+        """Give one column by its label.
+
+        Raises:
+            InputError: there is no such column, or more than one.
+        """
         if label not in self.labels:
             raise InputError(f"{self.name} has no column {label}.", hint=f"It has: {', '.join(self.labels)}.")
+        if self.labels.count(label) > 1:
+            raise InputError(
+                f"{self.name} has {self.labels.count(label)} columns {label}.",
+                hint="Give each column a name of its own.",
+            )
         return self.values[:, self.labels.index(label)]
 
 
@@ -108,10 +116,11 @@ def write_mot(path: Path, table: Table) -> None:
         "endheader",
         "\t".join(("time", *table.labels)),
     ]
-    frame = pd.DataFrame(table.values)
-    frame.insert(0, "time", table.times_s)
-    rows = frame.to_csv(sep="\t", header=False, index=False, float_format="%.10f", na_rep="nan", lineterminator="\n")
-    path.write_text("\n".join(header) + "\n" + rows, encoding="utf-8", newline="\n")
+    row = "\t".join(["%.10f"] * (len(table.labels) + 1))
+    rows = [
+        row % (time_s, *values) for time_s, values in zip(table.times_s.tolist(), table.values.tolist(), strict=True)
+    ]
+    path.write_text("\n".join([*header, *rows, ""]), encoding="utf-8", newline="\n")
 
 
 def table_of_motion(motion: Motion) -> Table:

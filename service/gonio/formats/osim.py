@@ -4,6 +4,8 @@ Document versions 10901 to 40600 (OpenSim 1.x to 4.6) are read: bodies, joints, 
 geometry, contact and controllers don't take part in kinematics or in inverse dynamics and stay in the file.
 """
 
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,9 @@ INERTIA_TAGS = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia
 def read_osim(path: Path) -> BodyModel:
     """Read an OpenSim model.
 
+    A file that has not changed since it was read last is not parsed again: a lab's trials share a handful of models, and
+    parsing one takes as long as the inverse dynamics of a minute.
+
     Args:
         path: A ``.osim`` file of OpenSim 1.x to 4.6.
 
@@ -50,16 +55,22 @@ def read_osim(path: Path) -> BodyModel:
         The model; its bodies, coordinates and markers are in the file's order.
 
     Raises:
-        InputError: the file can't be read, is no model, or holds something that gonio can't honour (a joint, a
-        function or
-            a constraint of an unknown kind, a loop). The message names the file and the element.
+        InputError: the file can't be read, is no model, or holds something that gonio can't honour (a joint, a function or a
+            constraint of an unknown kind, a loop). The message names the file and the element.
     """
     try:
-        return _read(path)
+        state = path.stat() if path.is_file() else None
+        return _read_version(path.absolute(), state.st_mtime_ns, state.st_size) if state else _read(path)
     except InputError as error:
         if path.name in error.message:
             raise
         raise InputError(f"{path.name}: {error.message}", hint=error.hint, code=error.code, **error.details) from error
+
+
+@lru_cache(maxsize=8)
+def _read_version(path: Path, _changed_ns: int, _size: int) -> BodyModel:
+    """Read one version of a file; a model is immutable, so all may share it."""
+    return _read(path)
 
 
 def _read(path: Path) -> BodyModel:
@@ -256,6 +267,28 @@ def _refuse_circular_couplers(coupled_to: np.ndarray, names: list[str]) -> None:
             step, steps = coupled_to[step], steps + 1
             if steps > len(names):
                 raise InputError(f"The coupler of {names[start]} leads back to itself.", hint="Break the circle.")
+
+
+@dataclass(frozen=True)
+class ModelForce:
+    """A force that a model's file makes act on it: a muscle, a spring, a contact; ``kind`` is OpenSim's class."""
+
+    kind: str
+    name: str
+
+
+def read_osim_forces(path: Path) -> tuple[ModelForce, ...]:
+    """List the forces in a model's file that are switched on; gonio computes none of them.
+
+    Raises:
+        InputError: the file can't be read.
+    """
+    model, _ = open_document(path, "Model")
+    return tuple(
+        ModelForce(element.tag, name_of(element))
+        for element in objects(model, "ForceSet")
+        if flag(element, "appliesForce", default=True) and not flag(element, "isDisabled", default=False)
+    )
 
 
 def read_osim_markers(path: Path, model: BodyModel) -> Markers:

@@ -4,6 +4,7 @@ OpenSim leaves out properties that are at their default, and repeats in comments
 child element with text. Everything here takes an element and the property's tag.
 """
 
+import math
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -109,17 +110,17 @@ def numbers(element: Element, tag: str) -> Float[np.ndarray, " number"]:
     """Read a property that lists finite numbers; an absent one is empty."""
     given = words(element, tag)
     try:
-        values = np.array([float(word) for word in given])
+        values = [float(word) for word in given]
     except ValueError as error:
         raise InputError(
             f"<{tag}> of {describe(element)} holds {' '.join(given)[:60]!r}, which are not numbers.",
             hint="Write plain numbers separated by spaces.",
         ) from error
-    if not np.all(np.isfinite(values)):
+    if not all(map(math.isfinite, values)):
         raise InputError(
             f"<{tag}> of {describe(element)} holds a number that is not finite.", hint="Give it a finite value."
         )
-    return values
+    return np.array(values, dtype=float)
 
 
 def vector(element: Element, tag: str, default: tuple[float, ...]) -> Float[np.ndarray, " component"]:

@@ -49,7 +49,7 @@ KINDS: Mapping[str, Kind] = {
     "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
     # files
     "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
-    "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell whether it is a video or a calibration."),
+    "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
     "file-too-large": Kind(413, "File too large", "The file is larger than GONIO_MAX_UPLOAD_BYTES."),

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_valida
 from gonio.http.problems import entry_of
 from gonio.jobs.service import JobView
 from gonio.jobs.tables import FileRow, JobState, ReportRow, SessionRow
+from gonio.pipeline.run import Role
 
 T = TypeVar("T")
 
@@ -104,7 +105,7 @@ class FileOut(BaseModel):
 class FileFields(_In):
     """The text fields of an upload."""
 
-    role: Literal["video", "calibration"] | None = None
+    role: Role | None = None
     camera: str | None = Field(default=None, min_length=1, max_length=100, pattern=PRINTABLE)
 
 

@@ -2,6 +2,7 @@
 
 import unicodedata
 from pathlib import PurePath
+from typing import get_args
 from urllib.parse import unquote
 
 from gonio.errors import InputError
@@ -41,9 +42,11 @@ def guess_role(name: str) -> Role:
         return "video"
     if suffix in CALIBRATIONS:
         return "calibration"
+    if suffix == ".osim":
+        return "body_model"
     raise InputError(
-        f"The name {name!r} doesn't tell whether it is a video or a calibration.",
-        hint="Send the form field `role` with `video` or `calibration`.",
+        f"The name {name!r} doesn't tell what the file is.",
+        hint=f"Send the form field `role`: one of {', '.join(get_args(Role))}.",
         code="role-unknown",
     )
 

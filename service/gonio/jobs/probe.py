@@ -28,6 +28,16 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
             "frames": info.frame_count,
             "duration_s": info.duration_s,
         }
+    if role == "body_model":
+        from gonio.formats.osim import read_osim
+
+        model = read_osim(path)
+        return {"model": model.name, "bodies": len(model.bodies.names), "mass_kg": round(model.mass_kg, 3)}
+    if role == "marker_set":
+        from gonio.formats.markerset import read_markerset
+
+        card = read_markerset(path)
+        return {"marker_set": card.name, "keypoints": list(card.keypoint_names)}
     from gonio.formats.calibration import read_calibration
 
     return {"cameras": list(read_calibration(path).names)}

@@ -1,5 +1,6 @@
-"""Stages ``scaling`` and ``kinematics``: the body model made the subject's, and its joint angles in every frame."""
+"""Stage ``scaling``: the body model made the subject's."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,18 +12,14 @@ from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.markerset import attach, make_tasks
 from gonio.kernel.body.scaling import measure_scale_factors, scale_model
-from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import Subject
-from gonio.pipeline.run import Outcome
+from gonio.pipeline.run import CaptureFile, Outcome, Role
 from gonio.records import (
-    NOT_CONVERGED,
-    TOO_FEW_MARKERS,
     BodyModel,
     Finding,
     LabPoints,
     MarkerSet,
-    Motion,
     Tasks,
     record,
 )
@@ -34,66 +31,84 @@ class SubjectBody:
     """The body model in the subject's size, with the keypoints as its markers, and how inverse kinematics weighs them."""
 
     model: BodyModel
+    markerset: MarkerSet
     tasks: Tasks
     file: Path
     scales: Float[np.ndarray, "body 3"]
 
 
-def scale_to_subject(points: LabPoints, subject: Subject) -> Outcome[SubjectBody]:
-    """Fit the built-in body model's segments to the subject's keypoints, and its mass to the subject's.
+def scale_to_subject(points: LabPoints, subject: Subject, files: Sequence[CaptureFile] = ()) -> Outcome[SubjectBody]:
+    """Fit a body model's segments to the subject's keypoints, and its mass to the subject's.
 
-    The table of segment masses is that of the subject's sex; that of men where it is not known.
+    The model is the one among the session's files, else the built-in one of the subject's sex (of men where it is not known).
+
+    Raises:
+        InputError: the session has two body models or marker sets, or no marker set fits.
     """
-    file = models_dir() / "bodies" / f"fullbody_{subject.sex or 'male'}.osim"
-    markerset = markerset_for(points.keypoint_names)
-    generic = attach(read_osim(file), markerset)
+    findings: list[Finding] = []
+    own = only_file(files, "body_model")
+    file = own or models_dir() / "bodies" / f"fullbody_{subject.sex or 'male'}.osim"
+    unmarked = read_osim(file)
+    markerset = choose_markerset(unmarked, points.keypoint_names, only_file(files, "marker_set"))
+    generic = attach(unmarked, markerset)
     observed = in_marker_order(generic, points)
     markerset, unseen = keep_seen_measurements(generic, markerset, observed)
     scales = measure_scale_factors(generic, markerset.measurements, observed)
     model = scale_model(generic, scales, mass_kg=subject.mass_kg)
-    findings = [finding("segment-not-scaled", where=name) for name in unseen]
+    findings += [finding("segment-not-scaled", where=name) for name in unseen]
     if subject.mass_kg is None:
         findings.append(finding("mass-unknown", value=model.mass_kg))
-    if subject.sex is None:
+    if subject.sex is None and own is None:
         findings.append(finding("sex-unknown"))
-    body = SubjectBody(model=model, tasks=make_tasks(model, markerset), file=file, scales=scales)
+    body = SubjectBody(model=model, markerset=markerset, tasks=make_tasks(model, markerset), file=file, scales=scales)
     return Outcome(body, tuple(findings))
 
 
-def fit_motion(body: SubjectBody, points: LabPoints) -> Outcome[Motion]:
-    """Find the joint angles of every frame, and judge the fit."""
-    times_s = points.timebase.times_s(len(points.xyz_lab_m))
-    motion = solve_motion(body.model, body.tasks, in_marker_order(body.model, points), times_s)
-    return Outcome(motion, judge_motion(motion))
+def only_file(files: Sequence[CaptureFile], role: Role) -> Path | None:
+    """Give the session's file of a role, None if there is none.
+
+    Raises:
+        InputError: there are several.
+    """
+    found = [file for file in files if file.role == role]
+    if len(found) > 1:
+        raise InputError(
+            f"The session has {len(found)} files of the kind {role}: {', '.join(f.name for f in found)}.",
+            hint="Delete all but the one that is to be used.",
+            code="file-ambiguous",
+        )
+    return found[0].path if found else None
 
 
-def judge_motion(motion: Motion) -> tuple[Finding, ...]:
-    """Find what the reader has to know about the body fit."""
-    findings: list[Finding] = []
-    unsolved = 100 * float((motion.status == TOO_FEW_MARKERS).mean())
-    if unsolved > 0:
-        findings.append(finding("frames-unsolved", value=unsolved, severity="serious" if unsolved > 50 else None))
-    diverged = 100 * float((motion.status == NOT_CONVERGED).mean())
-    if diverged > 0:
-        findings.append(finding("frames-not-converged", value=diverged))
-    known = motion.residual_rms_m[np.isfinite(motion.residual_rms_m)]
-    if known.size and known.mean() > 0.04:  # good markerless points leave 20 to 30 mm
-        severe = "serious" if known.mean() > 0.08 else None
-        findings.append(finding("body-fit-poor", value=1e3 * float(known.mean()), severity=severe))
-    return tuple(findings)
+def choose_markerset(model: BodyModel, keypoint_names: tuple[str, ...], given: Path | None = None) -> MarkerSet:
+    """Choose the card that fixes these keypoints to a model: the one given, else the one of gonio's own that fits best.
 
+    A card fits if its keypoints are among those found and their places exist in the model; the best places the most.
 
-def markerset_for(keypoint_names: tuple[str, ...]) -> MarkerSet:
-    """Give the card that fixes these keypoints to the built-in body."""
-    for path in sorted((models_dir() / "markersets").glob("*.toml")):
-        markerset = read_markerset(path)
-        if set(markerset.keypoint_names) == set(keypoint_names):
-            return markerset
+    Raises:
+        InputError: ``markerset-missing``, or what attaching the given card says.
+    """
+    if given is not None:
+        card = read_markerset(given)
+        attach(model, card)
+        return card
+    cards = [read_markerset(path) for path in sorted((models_dir() / "markersets").rglob("*.toml"))]
+    fitting = [card for card in cards if set(card.keypoint_names) <= set(keypoint_names) and _fits(model, card)]
+    if fitting:
+        return max(fitting, key=lambda card: len(card.keypoint_names))
     raise InputError(
-        f"No marker set places these keypoints on the body: {', '.join(keypoint_names)}.",
-        hint="Add a card to models/markersets, as CONTRIBUTING.md tells.",
+        f"No marker set places the keypoints on the model {model.name}.",
+        hint="Upload one with the role marker_set; those in models/markersets are examples.",
         code="markerset-missing",
     )
+
+
+def _fits(model: BodyModel, card: MarkerSet) -> bool:
+    try:
+        attach(model, card)
+    except InputError:
+        return False
+    return True
 
 
 def in_marker_order(model: BodyModel, points: LabPoints) -> Float[np.ndarray, "frame marker 3"]:

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gonio.kernel.calibration.person import PersonRefinement
-from gonio.kernel.kinematics.clinical import clinical_deg, find_clinical_angles
+from gonio.kernel.kinematics.clinical import ClinicalAngle, clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.kernel.synchronization.delays import Synchronization
 from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.keypoints import Keypoints
+from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Parameters, parameters_document
 from gonio.pipeline.reconstruction import Reconstruction as Reconstructed
 from gonio.pipeline.reconstruction import camera_bias_px, segment_lengths_m
@@ -33,7 +34,7 @@ from gonio.pipeline.report_schema import (
     Verdict,
 )
 from gonio.pipeline.run import CaptureFile
-from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, LabPoints, Motion
+from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, LabPoints
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -55,7 +56,7 @@ class Analysis:
     raw: Reconstructed
     points: LabPoints
     body: SubjectBody
-    motion: Motion
+    motion: BodyMotion
 
 
 SENTENCES: dict[Level, str] = {
@@ -105,6 +106,8 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
     before, after = segment_lengths_m(analysis.raw.points), segment_lengths_m(analysis.points)
     return Reconstruction(
         method=analysis.parameters.reconstruction.method,
+        smoothing=analysis.parameters.reconstruction.smoothing,
+        looks_hz=round(analysis.keypoints.points.sampled.timebase.rate_hz, 3),
         keypoint_model=analysis.parameters.keypoints.model,
         observations=int(np.isfinite(error_px).sum()),
         reprojection_mean_px=number(mean(error_px)),
@@ -129,46 +132,55 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
 
 def describe_body(analysis: Analysis) -> BodyFit:
     """Describe the body model and how well it fits."""
-    model, motion = analysis.body.model, analysis.motion
+    model, motion, fit = analysis.motion.model, analysis.motion.motion, analysis.motion.fit
+    used = fit is not None and not analysis.motion.distrusted
     rms = motion.residual_rms_m
+    factors = analysis.body.scales[:, 1] * (fit.body_factor if fit is not None and used else 1.0)
     return BodyFit(
         model=model.name,
+        method="pixels" if used else "points",
         mass_kg=round(model.mass_kg, 2),
         frames_solved=int((motion.status != TOO_FEW_MARKERS).sum()),
         frames_partial=int((motion.status == PARTIAL).sum()),
         marker_rms_mean_mm=number(1e3 * mean(rms), 1),
         marker_rms_max_mm=number(1e3 * float(np.nanmax(rms)), 1) if np.isfinite(rms).any() else None,
+        kept_fraction=number(fit.inlier_share, 4) if fit is not None else None,
+        error_lasts_s=number(fit.correlation_frames / analysis.capture.timebase.rate_hz, 3)
+        if fit is not None
+        else None,
         # The factor along the segment's length: Y in the bodies' frames.
         segment_scales={
-            name: round(float(factor), 4)
-            for name, factor in zip(model.bodies.names, analysis.body.scales[:, 1], strict=True)
+            name: round(float(factor), 4) for name, factor in zip(model.bodies.names, factors, strict=True)
         },
     )
 
 
 def describe_angles(analysis: Analysis) -> list[Angle]:
     """Describe hip, knee and ankle of both legs over time, in degrees, positive in the clinical sense."""
-    return [
-        describe_angle(angle.name, angle.side, clinical_deg(analysis.motion, angle))
-        for angle in find_clinical_angles(analysis.body.model)
-    ]
+    return [describe_angle(angle, analysis.motion) for angle in find_clinical_angles(analysis.motion.model)]
 
 
-def describe_angle(name: str, side: str, degrees: np.ndarray) -> Angle:
-    """Describe one joint angle over time."""
-    joint, title, positive = JOINTS[name]
+def describe_angle(angle: ClinicalAngle, found: BodyMotion) -> Angle:
+    """Describe one joint angle over time, its error bar, and how far the other way of computing it comes out."""
+    joint, title, positive = JOINTS[angle.name]
+    degrees, other = clinical_deg(found.motion, angle), clinical_deg(found.two_step, angle)
     known = degrees[np.isfinite(degrees)]
     low, high = (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
+    apart, sd = degrees - other, clinical_sd_deg(found.motion, angle)
     return Angle.model_validate(
         {
             "joint": joint,
-            "side": side,
+            "side": angle.side,
             "name": title,
             "positive": positive,
             "values_deg": series(degrees),
+            "sd_deg": series(sd),
+            "band_deg": number(1.96 * median(sd)),
             "min_deg": number(low),
             "max_deg": number(high),
             "range_deg": number(high - low),
+            "check_offset_deg": number(mean(apart)),
+            "check_sd_deg": number(spread(apart)),
         }
     )
 

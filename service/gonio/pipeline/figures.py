@@ -18,7 +18,7 @@ DASHES = {"right": "solid", "left": (0, (5, 2))}
 
 
 def angle_figure(time_s: Sequence[float], angles: Sequence[Angle]) -> str:
-    """Draw the joint angles over time, a row a joint, right and left together; gaps stay gaps."""
+    """Draw the joint angles over time, a row a joint, right and left together, with 95 % bands; gaps stay gaps."""
     names = list(dict.fromkeys(angle.name for angle in angles))
     figure = Figure(figsize=(8.0, 0.4 + 2.0 * len(names)), layout="constrained")
     FigureCanvasSVG(figure)
@@ -26,6 +26,15 @@ def angle_figure(time_s: Sequence[float], angles: Sequence[Angle]) -> str:
     for axes, name in zip(rows, names, strict=True):
         for angle in (a for a in angles if a.name == name):
             values = [float("nan") if v is None else v for v in angle.values_deg]
+            sd = [float("nan") if v is None else v for v in angle.sd_deg]
+            axes.fill_between(
+                time_s,
+                [v - 1.96 * s for v, s in zip(values, sd, strict=True)],
+                [v + 1.96 * s for v, s in zip(values, sd, strict=True)],
+                color=COLOURS[angle.side],
+                alpha=0.18,
+                linewidth=0,
+            )
             axes.plot(
                 time_s, values, color=COLOURS[angle.side], linestyle=DASHES[angle.side], linewidth=1.8, label=angle.side
             )

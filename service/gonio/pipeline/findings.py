@@ -324,6 +324,21 @@ KINDS: dict[str, Kind] = {
         "Look at the pictures in the report: does the skeleton lie on the body?",
         "mm",
     ),
+    "pixel-fit-distrusted": Kind(
+        "warning",
+        "kinematics",
+        "The body could not be fitted to the pixels of the whole trial, because {where}. The angles come from the smoothed "
+        "points, frame by frame, and are less certain.",
+        "Look at the pictures in the report: does the skeleton lie on the body? More cameras and a longer clip help.",
+    ),
+    "kinematics-disagree": Kind(
+        "warning",
+        "kinematics",
+        "Two ways to compute the {where} differ by {value:.1f}° in the shape of its curve, more than their error bars "
+        "explain.",
+        "Read this angle with care; a limb that few cameras see is the usual cause.",
+        "deg",
+    ),
     "frames-unsolved": Kind(
         "warning",
         "kinematics",

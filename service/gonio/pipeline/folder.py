@@ -7,10 +7,11 @@ from gonio.pipeline.run import CaptureFile
 
 VIDEO_SUFFIXES = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 CALIBRATION_SUFFIXES = (".qca.txt",)
+MARKER_SET_SUFFIX = ".markerset.toml"
 
 
 def find_capture_files(folder: Path) -> list[CaptureFile]:
-    """List the videos and the calibrations in a folder and its subfolders, by their suffixes.
+    """List the recordings in a folder and its subfolders, by their suffixes; also a body model and its marker set.
 
     Raises:
         InputError: ``folder-missing``, or ``folder-empty`` if it holds no videos.
@@ -25,6 +26,10 @@ def find_capture_files(folder: Path) -> list[CaptureFile]:
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         if path.name.lower().endswith(CALIBRATION_SUFFIXES):
             found.append(CaptureFile(path=path, name=path.name, role="calibration"))
+        elif path.name.lower().endswith(MARKER_SET_SUFFIX):
+            found.append(CaptureFile(path=path, name=path.name, role="marker_set"))
+        elif path.suffix.lower() == ".osim":
+            found.append(CaptureFile(path=path, name=path.name, role="body_model"))
         elif path.suffix.lower() in VIDEO_SUFFIXES:
             found.append(CaptureFile(path=path, name=path.name, role="video"))
     if not any(file.role == "video" for file in found):

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gonio.pipeline.findings import finding
+from gonio.pipeline.params import KeypointParameters
 from gonio.pipeline.run import Outcome, Progress
 from gonio.records import Capture, ImagePoints, record
 from gonio.vision.blazepose import LandmarkModel, PersonDetector
@@ -19,6 +20,9 @@ from gonio.vision.weights import default_cache_dir, ensure_weights
 
 DETECTOR = "blazepose_detector"
 PICTURE_SIDE_PX = 960
+
+LOOKS_HZ = {"exact": 60.0, "default": 30.0, "fast": 20.0}
+"""How often a camera is looked at. A detector's errors last for a tenth of a second: more looks mostly repeat them."""
 
 
 @record
@@ -35,20 +39,22 @@ class Keypoints:
     picture_scale: tuple[float, ...]
 
     @property
-    def seen(self) -> Bool[np.ndarray, "camera frame"]:
-        """Where a camera saw the subject."""
-        return np.asarray(np.isfinite(self.points.uv_px[..., 0]).any(axis=-1))
+    def seen(self) -> Bool[np.ndarray, "camera look"]:
+        """In which of the frames that were looked at a camera saw the subject."""
+        return np.asarray(np.isfinite(self.points.sampled.uv_px[..., 0]).any(axis=-1))
 
 
-def find_keypoints(capture: Capture, model: str, output_dir: Path, progress: Progress) -> Outcome[Keypoints]:
-    """Find the subject's keypoints with the network ``model``; a picture of each camera goes to ``output_dir``.
+def find_keypoints(
+    capture: Capture, parameters: KeypointParameters, output_dir: Path, progress: Progress
+) -> Outcome[Keypoints]:
+    """Find the subject's keypoints; a picture of each camera goes to ``output_dir``.
 
     Raises:
         ResourceError: ``weights-missing``: the network's weights were never fetched, and can't be now.
         CaptureError: ``nobody-found``.
         InputError: A video can't be decoded to its end; the message names it and the frame.
     """
-    card, detector_card = load_card(model), load_card(DETECTOR)
+    card, detector_card = load_card(parameters.model), load_card(DETECTOR)
     assert card.keypoints is not None  # a landmark card has them: its own check
     cache_dir, workers = default_cache_dir(), available_cores()
     detector = PersonDetector(detector_card, open_session(ensure_weights(detector_card, cache_dir)))
@@ -74,6 +80,7 @@ def find_keypoints(capture: Capture, model: str, output_dir: Path, progress: Pro
         detector,
         landmarks,
         card.keypoints.names,
+        stride=max(1, int(capture.timebase.rate_hz / LOOKS_HZ[parameters.rate] + 1e-3)),
         workers=workers,
         on_progress=progress,
         on_frames=keep_pictures,

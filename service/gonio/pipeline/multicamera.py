@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gonio.pipeline.body import fit_motion, scale_to_subject
+from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import find_keypoints
+from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
@@ -20,7 +21,7 @@ def analyse(
     """Compute a gait report from the files of one session.
 
     Args:
-        capture_files: The videos and the calibration.
+        capture_files: The videos and the calibration; the lab's own body model and its marker set, if it has them.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -35,17 +36,15 @@ def analyse(
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
     capture = runner("capture", lambda _: read_capture(capture_files, rig))
-    keypoints = runner(
-        "keypoints", lambda progress: find_keypoints(capture, chosen.keypoints.model, output_dir, progress)
-    )
+    keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
     delays, synchronous = runner(
         "synchronization", lambda _: synchronize(keypoints.points, capture.rig, chosen.reconstruction)
     )
     refined = runner("cameras", lambda _: refine_cameras(synchronous, capture.rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
-    points = runner("smoothing", lambda _: smooth(raw.points, chosen.reconstruction.low_pass_hz))
-    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject))
-    motion = runner("kinematics", lambda _: fit_motion(body, points))
+    points = runner("smoothing", lambda _: smooth(synchronous, raw, chosen.reconstruction))
+    body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
+    motion = runner("kinematics", lambda _: fit_motion(body, points, synchronous, raw.rig, chosen))
 
     analysis = Analysis(
         files=tuple(capture_files),

@@ -31,6 +31,13 @@ class KeypointParameters:
         Literal["blazepose_heavy", "blazepose_full"],
         Field(description="`blazepose_heavy` is the accurate one; `blazepose_full` is a fast preview."),
     ] = "blazepose_heavy"
+    rate: Annotated[
+        Literal["exact", "default", "fast"],
+        Field(
+            description="How often each camera is looked at: 60, 30 or 20 times a second. Tracks are fused over time, so that "
+            "30 is as good as 60 for walking; take `exact` for running and for impacts."
+        ),
+    ] = "default"
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -57,9 +64,29 @@ class ReconstructionParameters:
             description="Correct the cameras' poses on the subject's own movement, if that lowers the held-out error."
         ),
     ] = True
-    low_pass_hz: Annotated[
-        float, Field(gt=0, le=60, description="Cutoff of the zero-lag Butterworth filter that follows the median.")
-    ] = 6.0
+    smoothing: Annotated[
+        Literal["fusion", "median"],
+        Field(
+            description="`fusion`: one robust smooth track a keypoint from all observations over time. `median`: frame by "
+            "frame, then a median and a zero-lag Butterworth filter."
+        ),
+    ] = "fusion"
+    cutoff_hz: Annotated[
+        float, Field(gt=0, le=60, description="Bandwidth of the tracks: 8 Hz for walking, 12 Hz for running.")
+    ] = 8.0
+
+
+@dataclass(frozen=True, config=_STRICT)
+class KinematicsParameters:
+    """How the joint angles are found."""
+
+    method: Annotated[
+        Literal["pixels", "points"],
+        Field(
+            description="`pixels`: the body is fitted to all cameras' keypoints over the whole trial, with error bars, and "
+            "checked against `points`: inverse kinematics of the smoothed points, frame by frame."
+        ),
+    ] = "pixels"
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -69,6 +96,7 @@ class Parameters:
     subject: Subject = field(default_factory=Subject)
     keypoints: KeypointParameters = field(default_factory=KeypointParameters)
     reconstruction: ReconstructionParameters = field(default_factory=ReconstructionParameters)
+    kinematics: KinematicsParameters = field(default_factory=KinematicsParameters)
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -11,6 +11,7 @@ from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices,
 from gonio.kernel.geometry.transforms import apply, rotation_about_y, transform
 from gonio.kernel.smoothing.filters import low_pass, median_filter, median_window
 from gonio.kernel.synchronization.delays import Synchronization, estimate_delays, shift, trusted
+from gonio.kernel.triangulation.fusion import fuse, mark_spans
 from gonio.kernel.triangulation.points import triangulate
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import ReconstructionParameters
@@ -124,14 +125,25 @@ def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig]:
     return turned, replace(rig, cameras=cameras)
 
 
-def smooth(points: LabPoints, low_pass_hz: float) -> Outcome[LabPoints]:
-    """Run the median and then the low-pass over each trajectory; gaps stay gaps."""
-    rate_hz = points.timebase.rate_hz
-    smoothed = median_filter(points.xyz_lab_m, median_window(rate_hz))
-    cutoff_hz = min(low_pass_hz, 0.45 * rate_hz)
-    smoothed = low_pass(smoothed, rate_hz, cutoff_hz)
-    result = replace(points, xyz_lab_m=smoothed)
-    return Outcome(result, judge_segments(result))
+def smooth(keypoints: ImagePoints, raw: Reconstruction, parameters: ReconstructionParameters) -> Outcome[LabPoints]:
+    """Make smooth tracks of the points, by fusing all observations over time or frame by frame."""
+    rate_hz = raw.points.timebase.rate_hz
+    if parameters.smoothing == "fusion":
+        tracks = fuse(
+            projection_matrices(raw.rig),
+            focal_lengths_px(raw.rig),
+            undistort_rig(raw.rig, keypoints.uv_px),
+            np.where(keypoints.confidence >= parameters.min_confidence, keypoints.confidence, 0.0),
+            raw.points.xyz_lab_m,
+            rate_hz=rate_hz,
+            cutoff_hz=parameters.cutoff_hz,
+        )
+        points = mark_spans(raw.points, tracks)
+    else:
+        smoothed = median_filter(raw.points.xyz_lab_m, median_window(rate_hz))
+        smoothed = low_pass(smoothed, rate_hz, min(parameters.cutoff_hz, 0.45 * rate_hz))
+        points = replace(raw.points, xyz_lab_m=smoothed)
+    return Outcome(points, (*judge_gaps(points), *judge_segments(points)))
 
 
 def camera_bias_px(points: LabPoints) -> Float[np.ndarray, "camera 2"]:
@@ -173,14 +185,20 @@ def judge(reconstruction: Reconstruction) -> tuple[Finding, ...]:
     if median_mm > 25:
         severity = "serious" if median_mm > 50 else None
         findings.append(finding("reprojection-large", value=median_mm, severity=severity))
+    duration_s = points.xyz_lab_m.shape[0] / points.timebase.rate_hz
+    if duration_s < 4:
+        findings.append(finding("clip-short", value=duration_s))
+    return tuple(findings)
+
+
+def judge_gaps(points: LabPoints) -> tuple[Finding, ...]:
+    """Find the leg keypoints that are unknown for much of the trial."""
+    findings: list[Finding] = []
     for name in LEG_KEYPOINTS:
         missing = 100 * float(np.isnan(points.of(name)[:, 0]).mean())
         if missing > 10:
             severity = "serious" if missing > 50 else None
             findings.append(finding("keypoint-missing", where=name.replace("_", " "), value=missing, severity=severity))
-    duration_s = points.xyz_lab_m.shape[0] / points.timebase.rate_hz
-    if duration_s < 4:
-        findings.append(finding("clip-short", value=duration_s))
     return tuple(findings)
 
 

@@ -10,13 +10,13 @@ from gonio.formats.mot import table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
-from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.figures import angle_figure
 from gonio.pipeline.keypoints import DETECTOR
+from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
-from gonio.records import Finding, LabPoints, Motion
+from gonio.records import Finding, LabPoints
 from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
 from gonio.vision.weights import default_cache_dir, ensure_weights
@@ -33,12 +33,12 @@ def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Pa
     return ReportFiles(
         document=document,
         page=page,
-        others=write_opensim_files(analysis.points, analysis.body, analysis.motion, output_dir),
+        others=write_opensim_files(analysis.points, analysis.motion, analysis.body.file, output_dir),
     )
 
 
-def write_opensim_files(points: LabPoints, body: SubjectBody, motion: Motion, output_dir: Path) -> tuple[Path, ...]:
-    """Write the points (``markers.trc``), the coordinates (``motion.mot``) and the scaled model (``model.osim``)."""
+def write_opensim_files(points: LabPoints, found: BodyMotion, template: Path, output_dir: Path) -> tuple[Path, ...]:
+    """Write the points (``markers.trc``), the coordinates (``motion.mot``) and the subject's model (``model.osim``)."""
     trc, mot, osim = (output_dir / name for name in ("markers.trc", "motion.mot", "model.osim"))
     trajectories = Trajectories(
         names=points.keypoint_names,
@@ -47,8 +47,8 @@ def write_opensim_files(points: LabPoints, body: SubjectBody, motion: Motion, ou
         rate_hz=points.timebase.rate_hz,
     )
     write_trc(trc, trajectories)
-    write_mot(mot, table_of_motion(motion))
-    write_osim(osim, body.model, body.file)
+    write_mot(mot, table_of_motion(found.motion))
+    write_osim(osim, found.model, template)
     return trc, mot, osim
 
 

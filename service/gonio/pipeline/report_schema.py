@@ -51,7 +51,9 @@ class CameraReport(_Model):
     recorded_rate_hz: float
     recorded_frames: int
     observations: Annotated[int, Field(description="Keypoints of the subject that were used in triangulation.")]
-    seen_fraction: Annotated[float, Field(description="Share of frames in which this camera saw the subject.")]
+    seen_fraction: Annotated[
+        float, Field(description="Share of the frames looked at in which this camera saw the subject.")
+    ]
     reprojection_mean_px: float | None
     reprojection_median_px: float | None
     bias_u_px: Annotated[float | None, Field(description="Mean residual to the right; a good calibration leaves 0.")]
@@ -77,6 +79,8 @@ class Reconstruction(_Model):
     """From image points to lab points."""
 
     method: str
+    smoothing: str
+    looks_hz: Annotated[float, Field(description="How often a second keypoints were looked for in each camera.")]
     keypoint_model: str
     observations: int
     reprojection_mean_px: float | None
@@ -100,11 +104,23 @@ class BodyFit(_Model):
     """The body model and how well it fits the points."""
 
     model: str
+    method: Annotated[
+        Literal["pixels", "points"],
+        Field(
+            description="Fitted to all cameras' pixels over the whole trial, or to the smoothed points frame by frame."
+        ),
+    ]
     mass_kg: float
     frames_solved: int
     frames_partial: Annotated[int, Field(description="Frames in which a limb without points is unknown.")]
     marker_rms_mean_mm: float | None
     marker_rms_max_mm: float | None
+    kept_fraction: Annotated[
+        float | None, Field(description="Share of observations that the fit to the pixels did not reject.")
+    ]
+    error_lasts_s: Annotated[
+        float | None, Field(description="How long the detector's errors last; the error bars count with it.")
+    ]
     segment_scales: Annotated[
         dict[str, float], Field(description="Length scale of each body against the generic model.")
     ]
@@ -118,9 +134,15 @@ class Angle(_Model):
     name: str
     positive: Annotated[str, Field(description="What a positive angle means.")]
     values_deg: Series
+    sd_deg: Annotated[Series, Field(description="Standard deviation of each value: 95 % lie within 1.96 of it.")]
+    band_deg: Annotated[float | None, Field(description="Half width of the 95 % band in a usual frame.")]
     min_deg: float | None
     max_deg: float | None
     range_deg: float | None
+    check_offset_deg: Annotated[
+        float | None, Field(description="Mean difference to the angle from the smoothed points, frame by frame.")
+    ]
+    check_sd_deg: Annotated[float | None, Field(description="Standard deviation over time of that difference.")]
 
 
 class InputFile(_Model):

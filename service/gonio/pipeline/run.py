@@ -16,7 +16,7 @@ from gonio.records import Finding
 
 T = TypeVar("T")
 
-Role = Literal["video", "calibration"]
+Role = Literal["video", "calibration", "body_model", "marker_set"]
 
 STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {

@@ -35,22 +35,33 @@ from gonio.records.finding import Finding, Severity
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
+from gonio.records.pressure import FootPressure, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.virtual_board import VirtualBoard
+from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
+from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
+    "BURST",
+    "DROPPED",
+    "FEET",
     "FILLED",
     "FIXED",
     "GROUND",
     "INTRINSIC_NAMES",
+    "HIDDEN",
     "MEASURED",
     "MISSING",
     "NOT_CONVERGED",
+    "OUTSIDE",
     "PARTIAL",
     "PRISMATIC",
+    "PULLED",
     "REJECTED",
     "REVOLUTE",
     "SOLVED",
+    "SWAPPED",
     "TOO_FEW_MARKERS",
     "UNKNOWNS",
     "Board",
@@ -64,6 +75,8 @@ __all__ = [
     "CoordinatePrior",
     "Coordinates",
     "Finding",
+    "FootEvents",
+    "FootPressure",
     "Functions",
     "ImagePoints",
     "Intrinsics",
@@ -80,10 +93,16 @@ __all__ = [
     "Motion",
     "Rig",
     "Severity",
+    "Steps",
     "Tasks",
     "Timebase",
     "Verdict",
     "View",
     "Volume",
+    "VirtualBoard",
+    "VirtualPressure",
+    "VirtualTrial",
+    "Walk",
+    "WalkTruth",
     "record",
 ]

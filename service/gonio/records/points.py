@@ -16,7 +16,7 @@ class ImagePoints:
     """Keypoints of one person in all cameras.
 
     In pixels of the distorted image; (0, 0) is the centre of the top-left pixel. A point that was not found is NaN, and
-    its confidence is then 0.
+    its confidence is then 0. Keypoints were looked for in every ``stride``-th frame, from the first, and in the last one.
     """
 
     camera_names: tuple[str, ...]
@@ -24,6 +24,7 @@ class ImagePoints:
     timebase: Timebase
     uv_px: Float[np.ndarray, "camera frame keypoint 2"]
     confidence: Float[np.ndarray, "camera frame keypoint"]
+    stride: int = 1
 
     def __post_init__(self) -> None:
         if len(self.camera_names) != self.uv_px.shape[0] or len(self.keypoint_names) != self.uv_px.shape[2]:
@@ -34,6 +35,19 @@ class ImagePoints:
             )
         if np.any(np.isnan(self.uv_px).any(axis=-1) & (self.confidence != 0)):
             raise InputError("A missing point has a confidence.", hint="Set the confidence of missing points to 0.")
+
+    @property
+    def sampled(self) -> "ImagePoints":
+        """The frames in which keypoints were looked for, as a stream of their own rate."""
+        if self.stride == 1:
+            return self
+        return ImagePoints(
+            camera_names=self.camera_names,
+            keypoint_names=self.keypoint_names,
+            timebase=Timebase(rate_hz=self.timebase.rate_hz / self.stride, start_s=self.timebase.start_s),
+            uv_px=self.uv_px[:, :: self.stride],
+            confidence=self.confidence[:, :: self.stride],
+        )
 
 
 @record

@@ -45,6 +45,7 @@ def track_subject(
     landmarks: LandmarkModel,
     keypoint_names: tuple[str, ...],
     *,
+    stride: int = 1,
     workers: int,
     on_progress: Callable[[float], None],
     on_frames: Callable[[int, Sequence[Frame]], None] = lambda _index, _frames: None,
@@ -59,6 +60,8 @@ def track_subject(
         detector: Finds people at the start and after a loss.
         landmarks: Finds the keypoints of one person.
         keypoint_names: The names of the keypoints, in the network's order.
+        stride: Look for keypoints in every so-many-th frame only, and in the last one; the frames between are decoded and
+            passed over.
         workers: Threads; the networks release the interpreter's lock.
         on_progress: Hears the share that is done after each frame; may raise to stop the work.
         on_frames: Hears each frame's index and pictures, in the order of the cameras.
@@ -73,7 +76,8 @@ def track_subject(
     readers = [islice(iterate_frames(view.path), 0, None, view.frame_step) for view in capture.views]
     with ThreadPoolExecutor(workers) as pool:
         for index in range(count):
-            frames, people = follower.next_frame(pool, readers)
+            looked_at = index % stride == 0 or index == count - 1
+            frames, people = follower.next_frame(pool, readers, look=looked_at)
             for camera, person in enumerate(people):
                 if person is not None:
                     uv_px[camera, index] = person.uv_px
@@ -93,6 +97,7 @@ def track_subject(
         timebase=capture.timebase,
         uv_px=uv_px,
         confidence=visibility,
+        stride=stride,
     )
     return TrackedSubject(points=points, people_in_view=follower.people_in_view)
 
@@ -107,16 +112,18 @@ class _Follower:
         self.people_in_view = 0
 
     def next_frame(
-        self, pool: ThreadPoolExecutor, readers: Sequence[Iterator[Frame]]
+        self, pool: ThreadPoolExecutor, readers: Sequence[Iterator[Frame]], *, look: bool
     ) -> tuple[list[Frame], list[PersonLandmarks | None]]:
-        """Read the next frame of every camera and find the subject in each."""
+        """Read the next frame of every camera and, to ``look``, find the subject in each."""
 
         def read_and_follow(camera: int) -> tuple[Frame, PersonLandmarks | None]:
             frame = next(readers[camera])
-            return frame, self._trackers[camera].follow(frame)
+            return frame, self._trackers[camera].follow(frame) if look else None
 
         followed = list(pool.map(read_and_follow, range(len(readers))))
         frames, people = [frame for frame, _ in followed], [person for _, person in followed]
+        if not look:
+            return frames, people
         if sum(tracker.region is not None for tracker in self._trackers) < 2:
             people = self._choose(pool, frames)
         else:

@@ -1,7 +1,7 @@
 """The files of a session."""
 
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, get_args
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -15,6 +15,7 @@ from gonio.http.problems import fails
 from gonio.http.schemas import FileFields, FileOut, ListOf
 from gonio.http.uploads import receive_form
 from gonio.jobs.service import Service
+from gonio.pipeline.run import Role
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/files", tags=["files"])
 
@@ -34,7 +35,7 @@ _FORM = {
                         "file": {"type": "string", "format": "binary", "description": "The file, with its name."},
                         "role": {
                             "type": "string",
-                            "enum": ["video", "calibration"],
+                            "enum": list(get_args(Role)),
                             "description": "What it is; without it, the suffix of its name tells.",
                         },
                         "camera": {

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gonio.errors import InputError
 from gonio.kernel.body.forward import body_poses, node_positions
@@ -30,6 +30,17 @@ def attach(model: BodyModel, markerset: MarkerSet) -> BodyModel:
         body=np.array([body for body, _ in places], dtype=int),
         location_body_m=np.array([location for _, location in places]).reshape(-1, 3),
         fixed=np.ones(len(places), dtype=bool),
+    )
+    return replace(model, markers=markers)
+
+
+def keep_markers(model: BodyModel, chosen: Int[np.ndarray, " chosen"]) -> BodyModel:
+    """Give the model with some of its markers only, by position."""
+    markers = Markers(
+        names=tuple(model.markers.names[i] for i in chosen),
+        body=model.markers.body[chosen],
+        location_body_m=model.markers.location_body_m[chosen],
+        fixed=model.markers.fixed[chosen],
     )
     return replace(model, markers=markers)
 

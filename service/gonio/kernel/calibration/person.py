@@ -50,6 +50,7 @@ def refine_on_person(rig: Rig, keypoints: ImagePoints, min_confidence: float) ->
     With fewer than three cameras, or too few frames for two blocks of each kind, there is nothing to hold out or nothing
     to agree on, and the calibration stays as it is (errors NaN).
     """
+    keypoints = keypoints.sampled
     frames = keypoints.uv_px.shape[1]
     block = max(1, round(BLOCK_S * keypoints.timebase.rate_hz))
     held_out = (np.arange(frames) // block) % 2 == 1

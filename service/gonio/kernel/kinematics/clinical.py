@@ -59,3 +59,11 @@ def _turn_about_z(model: BodyModel, coordinate: int) -> float:
 def clinical_deg(motion: Motion, angle: ClinicalAngle) -> Float[np.ndarray, " frame"]:
     """Give one angle over time, degrees, positive in the clinical sense; NaN where it is not known."""
     return angle.sign * np.degrees(motion.of(angle.coordinate))
+
+
+def clinical_sd_deg(motion: Motion, angle: ClinicalAngle) -> Float[np.ndarray, " frame"]:
+    """Give the standard deviation of one angle over time, degrees; NaN where the angle or its covariance is not known."""
+    if motion.covariance is None:
+        return np.full(len(motion.times_s), np.nan)
+    index = motion.coordinate_names.index(angle.coordinate)
+    return np.degrees(np.sqrt(np.maximum(motion.covariance[:, index, index], 0.0)))

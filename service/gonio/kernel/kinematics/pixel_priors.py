@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from gonio.kernel.body.forward import couple, marker_positions
+from gonio.kernel.geometry.cameras import focal_lengths_px
 from gonio.records import GROUND, BodyModel, MarkerSet, Rig
 
 JERK_PER_ACCELERATION = 31.4  # 1/s: a motion of 5 Hz has 2π · 5 times as much jerk as acceleration
@@ -38,13 +40,20 @@ POSTURES_DEG: dict[str, float] = {
     "pelvis_tilt": 20.0,
     "hip_rotation": 20.0,
     "hip_adduction": 20.0,
-    "subtalar": 8.0,
     "lumbar": 20.0,
-    "neck": 30.0,
+}
+MOMENTS_DEG: dict[str, float] = {
+    # Standard deviation of a coordinate about its default at any moment: what is at times not seen at all, like the turn of a
+    # straight arm about itself, and what hardly moves in anybody.
+    "subtalar": 8.0,
+    "neck": 25.0,
     "arm_rot": 40.0,
     "pro_sup": 40.0,
-    "wrist": 20.0,
+    "wrist": 15.0,
 }
+MOMENT_S = 0.25
+"""How long a moment is: beliefs about neighbouring frames are one belief."""
+
 HELD = ("mtp",)
 """Stems of coordinates that no set of keypoints tells of: heel and big toe do not show where the foot bends."""
 
@@ -54,13 +63,15 @@ LIMIT_DEG = 1.5
 LIMB_SCALE, TRUNK_SCALE, MIRROR_SCALE = 0.05, 0.01, 0.01
 """A segment's length against the measured one; pelvis and trunk, whose size so few keypoints can't tell; left against right."""
 
-LIMB_OFFSET_M, TRUNK_OFFSET_M, MIRROR_OFFSET_M = 0.015, 0.006, 0.006
-"""A keypoint's place in its segment, against the marker set's: detectors differ; the trunk's are held (see TRUNK_SCALE)."""
+LIMB_OFFSET_M, LOOSE_OFFSET_M, TRUNK_OFFSET_M, MIRROR_OFFSET_M = 0.015, 0.025, 0.006, 0.006
+"""A keypoint's place in its segment, against the marker set's: detectors differ, most of all at head and arms; the trunk's
+are held (see TRUNK_SCALE)."""
 
 BIAS_M = 0.008
 """A camera's constant error for a keypoint, at the subject: the detector's habit from that side, and the calibration's rest."""
 
-TRUNK_BODIES = {"pelvis", "torso", "head"}
+TRUNK_BODIES = {"pelvis", "torso"}
+HEAD_AND_ARMS = {"head", *(f"{part}_{side}" for part in ("humerus", "ulna", "radius", "hand") for side in "rl")}
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,7 @@ class TrialPriors:
     jerk_sd: Float[np.ndarray, " coordinate"]  # of the third difference over frames, rad or m
     posture: Float[np.ndarray, " coordinate"]
     posture_sd: Float[np.ndarray, " coordinate"]  # of the mean over the trial; infinite where nothing is believed
+    moment_sd: Float[np.ndarray, " coordinate"]  # of a single frame, weakened by how many frames are one moment
     lower: Float[np.ndarray, " coordinate"]
     upper: Float[np.ndarray, " coordinate"]
     limit_sd: float
@@ -82,8 +94,10 @@ class TrialPriors:
     bias_sd_px: Float[np.ndarray, " camera"]
 
 
-def make_priors(model: BodyModel, markerset: MarkerSet, rig: Rig, rate_hz: float, distance_m: float) -> TrialPriors:
-    """Collect the priors for a model with a marker set's keypoints, filmed by a rig from about ``distance_m`` away.
+def make_priors(
+    model: BodyModel, markerset: MarkerSet, rig: Rig, rate_hz: float, distance_m: Float[np.ndarray, " camera"]
+) -> TrialPriors:
+    """Collect the priors for a model with a marker set's keypoints, filmed by cameras about ``distance_m`` away.
 
     The scale groups are the marker set's measurements that scale a body along all its axes; those of one name are left and
     right of each other.
@@ -96,21 +110,26 @@ def make_priors(model: BodyModel, markerset: MarkerSet, rig: Rig, rate_hz: float
     posture = np.array([targets.get(name, value) for name, value in zip(names, coordinates.default, strict=True)])
     body_group, groups = _scale_groups(model, markerset)
     on_trunk = np.array([body != GROUND and model.bodies.names[body] in TRUNK_BODIES for body in model.markers.body])
+    loose = np.array([body != GROUND and model.bodies.names[body] in HEAD_AND_ARMS for body in model.markers.body])
     hips = np.array(["hip" in name for name in model.markers.names])
     return TrialPriors(
-        held=np.array([name.startswith(HELD) for name in names]),
+        held=np.array([name.startswith(HELD) for name in names]) | ~_seen_by_markers(model),
         jerk_sd=jerk_sd,
         posture=posture,
         posture_sd=np.deg2rad([_by_stem(name, POSTURES_DEG, np.inf) for name in names]),
+        moment_sd=np.deg2rad([_by_stem(name, MOMENTS_DEG, np.inf) for name in names])
+        * np.sqrt(max(MOMENT_S * rate_hz, 1.0)),
         lower=np.where(coordinates.clamped, coordinates.range[:, 0], -np.inf),
         upper=np.where(coordinates.clamped, coordinates.range[:, 1], np.inf),
         limit_sd=float(np.deg2rad(LIMIT_DEG)),
         body_group=body_group,
-        group_sd=np.array([TRUNK_SCALE if set(bodies) & TRUNK_BODIES else LIMB_SCALE for _, bodies in groups]),
+        group_sd=np.array(
+            [TRUNK_SCALE if set(bodies) & (TRUNK_BODIES | {"head"}) else LIMB_SCALE for _, bodies in groups]
+        ),
         mirrored_groups=_pairs([name for name, _ in groups]),
-        offset_sd_m=np.where(on_trunk | hips, TRUNK_OFFSET_M, LIMB_OFFSET_M),
+        offset_sd_m=np.select([on_trunk | hips, loose], [TRUNK_OFFSET_M, LOOSE_OFFSET_M], LIMB_OFFSET_M),
         mirrored_markers=_mirrored(model.markers.names),
-        bias_sd_px=np.array([BIAS_M * np.diag(c.intrinsic_px)[:2].mean() / distance_m for c in rig.cameras]),
+        bias_sd_px=BIAS_M * focal_lengths_px(rig) / distance_m,
     )
 
 
@@ -122,6 +141,15 @@ def without_geometry(priors: TrialPriors) -> TrialPriors:
         offset_sd_m=np.full_like(priors.offset_sd_m, 1e-9),
         bias_sd_px=np.full_like(priors.bias_sd_px, 1e-9),
     )
+
+
+def _seen_by_markers(model: BodyModel) -> Bool[np.ndarray, " coordinate"]:
+    """Tell which coordinates move any marker, in a pose in which nothing is straight."""
+    count = len(model.coordinates.names)
+    q = model.coordinates.default + np.where(model.coordinates.rotational, 0.3, 0.0)
+    nudged = q + np.vstack([np.zeros(count), 1e-4 * np.eye(count)])
+    xyz = marker_positions(model, couple(model, nudged))
+    return np.linalg.norm(xyz[1:] - xyz[0], axis=-1).max(axis=1, initial=0.0) > 1e-4 * 0.01
 
 
 def _by_stem(name: str, table: dict[str, float], default: float) -> float:

@@ -67,10 +67,11 @@ def personalise(model: BodyModel, priors: TrialPriors, state: State) -> BodyMode
     location = model.markers.location_body_m.copy()
     location[on_body] += np.einsum("mji,mj->mi", R_node_body, state.offset_m[on_body])
     fitted = replace(model, markers=replace(model.markers, location_body_m=location))
-    return scale_model(fitted, np.repeat(_body_factor(priors, state)[:, None], 3, axis=1))
+    return scale_model(fitted, np.repeat(body_factor(priors, state)[:, None], 3, axis=1))
 
 
-def _body_factor(priors: TrialPriors, state: State) -> Float[np.ndarray, " body"]:
+def body_factor(priors: TrialPriors, state: State) -> Float[np.ndarray, " body"]:
+    """Give the factor by which the state lengthens each body."""
     return np.where(priors.body_group >= 0, np.exp(state.log_scale)[priors.body_group], 1.0)
 
 
@@ -84,7 +85,7 @@ def linearise(
     )
     node_group, marker_group = _groups(trial)
     body = trial.model.markers.body
-    marker_factor = np.where(body != GROUND, _body_factor(trial.priors, state)[body], 1.0)
+    marker_factor = np.where(body != GROUND, body_factor(trial.priors, state)[body], 1.0)
     layout = Layout(trial.free, node_group, marker_group, marker_factor, len(trial.priors.group_sd), shared)
     data, cost = _sum_all(tree, sight, layout, state.q.copy(), trial.shared if shared else 0)
     prior_cost, hessian, gradient = _frame_priors(trial, state)
@@ -185,7 +186,7 @@ def _frame_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.nda
     for ahead, factor in enumerate((-1.0, 3.0, -3.0, 1.0)):
         np.add.at(gradient, starts + ahead, -factor * jerk * jerk_precision)
     # The mean over the trial is believed, so each frame gets 1/N of the information.
-    posture_precision = priors.posture_sd[trial.free] ** -2.0 / len(q)
+    posture_precision = priors.posture_sd[trial.free] ** -2.0 / len(q) + priors.moment_sd[trial.free] ** -2.0
     away = q - priors.posture[trial.free]
     cost += 0.5 * float((away**2 * posture_precision).sum())
     gradient -= away * posture_precision
@@ -253,11 +254,15 @@ def _in_blocks(values: Float[np.ndarray, "frame free"]) -> Float[np.ndarray, "bl
 def _factorise(
     trial: Trial, equations: Equations, data_share: float, damping: float, *, shared: bool
 ) -> Factor | BorderedFactor:
-    """Assemble the blocks and factorise them. The damping is relative to the Gauss-Newton diagonal of data and priors."""
+    """Assemble the blocks and factorise them.
+
+    The damping is relative to the diagonal without the jerk prior's: that one is large in every frame but says nothing of
+    slow movements, and a damping that knew it would hold those back.
+    """
     frames, size = equations.prior_gradient.shape
     own = data_share * equations.data.hessian
     index = np.arange(size)
-    own[:, index, index] += equations.prior_hessian
+    own[:, index, index] = (own[:, index, index] + equations.prior_hessian) * (1.0 + damping)
     diagonal, below = _jerk_blocks(trial, frames, size)
     blocks = len(diagonal)
     padded = np.zeros((blocks * FRAMES_PER_BLOCK, size, size))
@@ -267,7 +272,6 @@ def _factorise(
     for i in range(FRAMES_PER_BLOCK):
         by_frame[:, i, :, i] += padded[i::FRAMES_PER_BLOCK]
     whole = np.arange(FRAMES_PER_BLOCK * size)
-    diagonal[:, whole, whole] *= 1.0 + damping
     diagonal[:, whole, whole] += 1e-9
     if not shared:
         return factorise(diagonal, below)

@@ -22,6 +22,7 @@ from gonio.kernel.kinematics.pixel_priors import TrialPriors
 from gonio.kernel.kinematics.pixel_system import (
     State,
     Trial,
+    body_factor,
     frame_covariance,
     linearise,
     moved,
@@ -61,6 +62,7 @@ class PixelFit:
     motion: Motion
     model: BodyModel
     log_scale: Float[np.ndarray, " group"]
+    body_factor: Float[np.ndarray, " body"]
     offset_m: Float[np.ndarray, "marker 3"]
     bias_px: Float[np.ndarray, "camera marker 2"]
     sigma_px: Float[np.ndarray, " camera"]
@@ -267,6 +269,7 @@ def _report(
         ),
         model=model,
         log_scale=state.log_scale,
+        body_factor=body_factor(trial.priors, state),
         offset_m=state.offset_m,
         bias_px=state.bias_px,
         sigma_px=sigma_px,

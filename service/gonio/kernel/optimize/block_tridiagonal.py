@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.blas import dtrsm
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,10 @@ class Factor:
         blocks = len(self.diagonal)
         for i in range(blocks):
             carried = right[i] - self.below[i - 1] @ x[i - 1] if i else right[i]
-            x[i] = solve_triangular(self.diagonal[i], carried, lower=True, check_finite=False)
+            x[i] = _solve_lower(self.diagonal[i], carried)
         for i in range(blocks - 1, -1, -1):
             carried = x[i] - self.below[i].T @ x[i + 1] if i < blocks - 1 else x[i]
-            x[i] = solve_triangular(self.diagonal[i], carried, lower=True, trans="T", check_finite=False)
+            x[i] = _solve_lower(self.diagonal[i], carried, transposed=True)
         return x
 
     def inverse_diagonal(self) -> Float[np.ndarray, "block size size"]:
@@ -62,8 +63,16 @@ def factorise(
         carried = diagonal[i] - W[i - 1] @ W[i - 1].T if i else diagonal[i]
         L[i] = cholesky(carried, lower=True, check_finite=False)
         if i < len(below):
-            W[i] = solve_triangular(L[i], below[i].T, lower=True, check_finite=False).T
+            W[i] = _solve_lower(L[i], below[i].T).T
     return Factor(L, W)
+
+
+def _solve_lower(L: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+    """Give ``L⁻¹ right``, or ``L⁻ᵀ right``. BLAS itself: the blocks are so small that checks would take longer.
+
+    BLAS counts by columns, so a row-major ``L`` is the upper triangle of what it sees, and its transpose.
+    """
+    return dtrsm(1.0, L.T, right, lower=0, trans_a=0 if transposed else 1)
 
 
 @dataclass(frozen=True)

@@ -83,16 +83,14 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
     With fewer than three cameras a delay and a wrong pose can't be told apart, and in a clip shorter than a few tenths of a
     second nothing can be told: ``unknown``.
     """
+    keypoints = keypoints.sampled
     rate_hz, frames = keypoints.timebase.rate_hz, keypoints.uv_px.shape[1]
     reach = min(round(MAX_DELAY_S * rate_hz), frames // 6)
     if len(rig.cameras) < 3 or reach < 2:
         return _unknown(rig)
     weight = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)
     uv_px = undistort_rig(rig, keypoints.uv_px)
-    velocity = np.full_like(uv_px, np.nan)
-    smooth = np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
-    velocity[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) * rate_hz / 2
-    streams = _Streams(rig, uv_px, velocity, weight, rate_hz, reach)
+    streams = _Streams(rig, uv_px, image_velocity(uv_px, rate_hz), weight, rate_hz, reach)
     none = np.zeros(len(rig.cameras), dtype=int)
     lags = none
     if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
@@ -101,31 +99,36 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
 
 
 def shift(keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"]) -> ImagePoints:
-    """Put all cameras on the first one's clock: by whole frames, and between two frames by straight lines.
+    """Put all cameras on the first one's clock.
 
-    What would lie beyond the ends of a camera's recording, or beside a gap, is missing.
+    Each observation goes to the frame nearest to the moment that it shows, and is moved there along its track by the rest of
+    a frame; where its velocity is not known it stays as it is, right to half a frame. Whole frames change nothing but the
+    place. What comes to lie beyond the ends is left out.
     """
-    frames = keypoints.uv_px.shape[1]
+    frames, rate_hz = keypoints.uv_px.shape[1], keypoints.timebase.rate_hz
+    velocity = np.full_like(keypoints.uv_px, np.nan)
+    sampled = keypoints.sampled
+    velocity[:, :: keypoints.stride] = image_velocity(sampled.uv_px, sampled.timebase.rate_hz)
     uv_px, confidence = np.full_like(keypoints.uv_px, np.nan), np.zeros_like(keypoints.confidence)
-    for camera, delay in enumerate(delay_s * keypoints.timebase.rate_hz):
-        place = np.arange(frames) + delay
-        before = np.floor(place + 1e-9).astype(int)
-        part = np.clip(place - before, 0.0, 1.0)
-        part[part < 1e-6] = 0.0
-        inside = (before >= 0) & (before + (part > 0) < frames)
-        a, b = before[inside], np.minimum(before[inside] + 1, frames - 1)
-        share = part[inside]
-        mixed = (1 - share)[:, None, None] * keypoints.uv_px[camera, a]
-        mixed += np.where(share[:, None, None] > 0, share[:, None, None] * keypoints.uv_px[camera, b], 0.0)
-        trust = np.where(
-            share[:, None] > 0,
-            np.minimum(keypoints.confidence[camera, a], keypoints.confidence[camera, b]),
-            keypoints.confidence[camera, a],
-        )
-        known = np.isfinite(mixed).all(axis=-1)
-        uv_px[camera, inside] = np.where(known[..., None], mixed, np.nan)
-        confidence[camera, inside] = np.where(known, trust, 0.0)
+    for camera, delay in enumerate(delay_s * rate_hz):
+        shown = np.arange(frames) - delay  # the moment that each frame shows, in frames of the first camera
+        place = np.rint(shown + 1e-9).astype(int)
+        inside = (place >= 0) & (place < frames)
+        rest_s = ((place - shown) / rate_hz)[inside, None, None]
+        moved = keypoints.uv_px[camera, inside] + np.nan_to_num(velocity[camera, inside]) * rest_s
+        uv_px[camera, place[inside]] = moved
+        confidence[camera, place[inside]] = keypoints.confidence[camera, inside]
     return replace(keypoints, uv_px=uv_px, confidence=confidence)
+
+
+def image_velocity(
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"], rate_hz: float
+) -> Float[np.ndarray, "camera frame keypoint 2"]:
+    """Give how fast keypoints move in the images, px/s, by central differences of smoothed tracks; NaN beside gaps."""
+    velocity = np.full_like(uv_px, np.nan)
+    smooth = np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
+    velocity[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) * rate_hz / 2
+    return velocity
 
 
 def trusted(rig: Rig) -> Synchronization:

@@ -1,0 +1,1 @@
+"""Inverse dynamics: the forces behind a motion."""
