@@ -240,6 +240,7 @@ def _normal(
     weight [Triggs et al. 2000, §4.3]: reweighted least squares without it takes four times as many steps.
     """
     cameras, frames = weight.shape[:2]
+    bends = np.zeros_like(weight) if bend is None else bend
     H_camera = np.zeros((frames, cameras, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS))
     H_cross = np.zeros((frames, cameras, CAMERA_UNKNOWNS, BOARD_UNKNOWNS))
     H_board, g_board = np.zeros((frames, BOARD_UNKNOWNS, BOARD_UNKNOWNS)), np.zeros((frames, BOARD_UNKNOWNS))
@@ -248,7 +249,7 @@ def _normal(
     def accumulate(start: int, stop: int) -> None:
         sum_frames(
             scene.theta, scene.Ts_cam_ref, scene.Ts_ref_board, observations.corners_board_m, observations.uv_px,
-            observations.velocity_px_s, weight, np.zeros_like(weight) if bend is None else bend, start, stop, H_camera, H_cross, H_board, g_camera, g_board,
+            observations.velocity_px_s, weight, bends, start, stop, H_camera, H_cross, H_board, g_camera, g_board,
         )  # fmt: skip
 
     over_blocks(accumulate, frames, BLOCK_FRAMES)

@@ -145,9 +145,7 @@ def refine_rig(
     scene, adjusted, timing_sd_s = solution.scene, solution.adjusted, solution.timing_sd_s
     for _ in range(MOTION_ROUNDS + 1):
         observations = observe(scene, corners_board_m, uv_px, times_s, timing_sd_s)
-        adjusted = adjust(
-            observations, scene, solution.prior, sigma_px=adjusted.sigma_px, inflation=adjusted.inflation
-        )
+        adjusted = adjust(observations, scene, solution.prior, sigma_px=adjusted.sigma_px, inflation=adjusted.inflation)
         scene = adjusted.scene
         timing_sd_s = estimate_timing(adjusted.residual_px, observations.velocity_px_s)
     return replace(solution, adjusted=adjusted, timing_sd_s=timing_sd_s)
