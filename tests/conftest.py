@@ -1,8 +1,12 @@
 """Where the tests find real recordings, and the rigs and videos that several of them share."""
 
+import os
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
+
+# Before numpy is loaded: test workers share the cores, and the threads of its linear algebra would spin against each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import av
 import numpy as np

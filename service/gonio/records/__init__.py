@@ -23,21 +23,32 @@ from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
+from gonio.records.pressure import FootPressure, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.virtual_board import VirtualBoard
+from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
+from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
+    "BURST",
+    "DROPPED",
+    "FEET",
     "FILLED",
     "FIXED",
     "GROUND",
+    "HIDDEN",
     "MEASURED",
     "MISSING",
     "NOT_CONVERGED",
+    "OUTSIDE",
     "PARTIAL",
     "PRISMATIC",
+    "PULLED",
     "REJECTED",
     "REVOLUTE",
     "SOLVED",
+    "SWAPPED",
     "TOO_FEW_MARKERS",
     "Bodies",
     "BodyModel",
@@ -46,6 +57,8 @@ __all__ = [
     "CoordinatePrior",
     "Coordinates",
     "Finding",
+    "FootEvents",
+    "FootPressure",
     "Functions",
     "ImagePoints",
     "JointTree",
@@ -56,8 +69,14 @@ __all__ = [
     "Motion",
     "Rig",
     "Severity",
+    "Steps",
     "Tasks",
     "Timebase",
     "View",
+    "VirtualBoard",
+    "VirtualPressure",
+    "VirtualTrial",
+    "Walk",
+    "WalkTruth",
     "record",
 ]
