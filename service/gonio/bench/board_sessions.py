@@ -14,10 +14,11 @@ from gonio.kernel.calibration.intrinsics import coverage
 from gonio.kernel.geometry.cameras import distort, undistort
 from gonio.kernel.geometry.transforms import apply, transform
 from gonio.kernel.triangulation.points import triangulate
+from gonio.kernel.virtual_lab import make_rig
 from gonio.records import Board, BoardViews, Camera, Intrinsics, Rig
 
 IMAGE_SIZE_PX = (720, 540)
-RING_M, HEIGHT_M, TARGET_M = 3.5, 2.0, 0.9
+PAPER_RIG = make_rig(4, radius_m=3.5, height_m=2.0, image_size_px=IMAGE_SIZE_PX, focal_px=600.0)
 BOARD = Board(name="virtual 7 × 5", kind="charuco", corners_across=7, corners_down=5, square_m=0.1, marker_m=0.075,
               dictionary="DICT_5X5_100")  # fmt: skip
 RATE_HZ = 5.0
@@ -57,28 +58,17 @@ class Session:
     optics: tuple[Intrinsics, ...] = field(default=())
 
 
-def make_rig(source: np.random.Generator, cameras: int = 4) -> Rig:
-    """Build the ring; lenses differ by 2 % in focal length and a few pixels in their centre."""
-    built: list[Camera] = []
-    for index in range(cameras):
-        angle = 2 * np.pi * index / cameras
-        centre = np.array([RING_M * np.cos(angle), HEIGHT_M, RING_M * np.sin(angle)])
-        forward = np.array([0.0, TARGET_M, 0.0]) - centre
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 1.0, 0.0])
-        right /= np.linalg.norm(right)
-        focal = 600.0 * (1 + 0.02 * source.normal())
-        cx, cy = (np.array(IMAGE_SIZE_PX) - 1) / 2 + 5 * source.normal(size=2)
-        built.append(
-            Camera(
-                name=f"cam{index + 1}",
-                image_size_px=IMAGE_SIZE_PX,
-                intrinsic_px=np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]]),
-                distortion=np.array([-0.05 + 0.02 * source.normal(), 0.1 + 0.02 * source.normal(), 0.0, 0.0, 0.0]),
-                T_lab_cam=transform(np.stack([right, np.cross(forward, right), forward], axis=1), centre),
-            )
-        )
-    return Rig(cameras=tuple(built), source="virtual lab")
+def scatter_lenses(rig: Rig, source: np.random.Generator) -> Rig:
+    """Make the lenses of a rig differ: by 2 % in focal length, some pixels in their centre, 0.02 in their distortion."""
+    cameras: list[Camera] = []
+    for camera in rig.cameras:
+        intrinsic_px = camera.intrinsic_px.copy()
+        intrinsic_px[[0, 1], [0, 1]] *= 1 + 0.02 * source.normal()
+        intrinsic_px[:2, 2] += camera.image_size_px[0] / 144 * source.normal(size=2)
+        distortion = np.array([-0.05, 0.1, 0.0, 0.0, 0.0])
+        distortion[:2] += 0.02 * source.normal(size=2)
+        cameras.append(replace(camera, intrinsic_px=intrinsic_px, distortion=distortion))
+    return replace(rig, cameras=tuple(cameras))
 
 
 class Sweep:
@@ -132,10 +122,10 @@ def _facing(
 def film(seed: int, filming: Filming = Filming()) -> Session:
     """Film a session: the corners that each camera sees from the front and inside its picture."""
     source = np.random.default_rng(seed)
-    rig = make_rig(source)
+    rig = scatter_lenses(PAPER_RIG, source)
     sweep = Sweep(source, BOARD, filming)
     times_s = np.arange(filming.poses) * (10.0 if filming.still else 1 / RATE_HZ)
-    printed = BOARD.corners_board_m * [1 + filming.stretch, 1.0, 1.0]
+    printed = BOARD.corners_board_m * np.array([1 + filming.stretch, 1.0, 1.0])
     uv_px = np.full((len(rig.cameras), filming.poses, BOARD.corner_count, 2), np.nan)
     for index, camera in enumerate(rig.cameras):
         if filming.blind_camera and index == len(rig.cameras) - 1:
