@@ -69,10 +69,10 @@ def serve(
 def worker() -> None:
     """Join the service as one more worker, from this or another machine."""
     from gonio.jobs.worker import run_worker
-    from gonio.pipeline import analyse as river
+    from gonio.pipeline.rivers import RIVERS
     from gonio.settings import Settings
 
-    run_worker(Settings(), river)
+    run_worker(Settings(), RIVERS)
 
 
 @app.command()
@@ -111,18 +111,18 @@ def calibrate(
     """Calibrate cameras from videos of a board, and say whether to trust the result."""
     from gonio.formats.calibration_json import read_calibration_document
     from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
-    from gonio.pipeline.calibration_files import CalibrationFile, find_calibration_files
+    from gonio.pipeline.calibration_files import find_calibration_files
     from gonio.pipeline.calibration_report import calibration_key_lines
-    from gonio.pipeline.run import LocalRunner
+    from gonio.pipeline.run import CaptureFile, LocalRunner
 
     wanted = _read_parameters(parameters) if parameters else {}
     files = find_calibration_files(folder)
     if optics is not None:
         files = [file for file in files if file.role != "optics"]
-        files.append(CalibrationFile(path=optics, name=optics.name, role="optics"))
+        files.append(CaptureFile(path=optics, name=optics.name, role="optics"))
     if board.endswith(".toml"):
         files = [file for file in files if file.role != "board"]
-        files.append(CalibrationFile(path=Path(board), name=board, role="board"))
+        files.append(CaptureFile(path=Path(board), name=board, role="board"))
     elif board:
         wanted["board"] = board
     with progress_bar(console) as advance:

@@ -4,37 +4,49 @@ The rig is that of the paper which gonio follows: four cameras of 720 × 540 pix
 look at its middle. A board is swept through the volume by hand: it turns, tilts and never stops.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gonio.kernel.calibration.intrinsics import coverage
-from gonio.kernel.geometry.cameras import distort, undistort
+from gonio.kernel.calibration.planar_pose import MIN_CORNERS
+from gonio.kernel.geometry.cameras import project, undistort
 from gonio.kernel.geometry.transforms import apply, transform
 from gonio.kernel.triangulation.points import triangulate
 from gonio.kernel.virtual_lab import make_rig
 from gonio.records import Board, BoardViews, Camera, Intrinsics, Rig
+from gonio.vision.board_drawing import render_board
+from gonio.vision.render import Print, draw_board, write_video
 
 IMAGE_SIZE_PX = (720, 540)
-PAPER_RIG = make_rig(4, radius_m=3.5, height_m=2.0, image_size_px=IMAGE_SIZE_PX, focal_px=600.0)
 BOARD = Board(name="virtual 7 × 5", kind="charuco", corners_across=7, corners_down=5, square_m=0.1, marker_m=0.075,
               dictionary="DICT_5X5_100")  # fmt: skip
-RATE_HZ = 5.0
 PRIOR_SD = np.array([0.005, 0.0, 3.0, 3.0, 0.04, 0.07, 0.0, 0.0, 0.0])
 """How far a separate calibration of the lenses is off: focal length (a share), centre (px), k1, k2."""
+
+PX_PER_SQUARE = 80
+EDGE_PX = 4
+STEEPEST_RAD = np.deg2rad(70.0)
+"""Steeper, and no detector reads the squares."""
 
 
 @dataclass(frozen=True)
 class Filming:
-    """How a session is filmed, and what goes wrong in it; the defaults are a good session."""
+    """How a session is filmed, and what goes wrong in it; the defaults are a good session of the paper's rig."""
 
+    cameras: int = 4
+    radius_m: float = 3.5
+    board: Board = BOARD
+    rate_hz: float = 5.0
+    poses: int = 120
     still: bool = False
     """The board is held still at as many places, in no order; else it moves all the time."""
-    poses: int = 120
     noise_px: float = 0.3
-    delays_s: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    delay_s: float = 0.0
+    """The last camera runs late by this."""
     bump_deg: float = 0.0
     """The second camera is turned by this half-way."""
     blur_s: float = 0.0
@@ -49,13 +61,13 @@ class Filming:
 
 @dataclass(frozen=True)
 class Session:
-    """A filmed session and its truth: ``rig`` in the lab, the optics, and where the board was."""
+    """A filmed session and its truth: ``rig`` in the lab, the optics, and how the board stood before each camera."""
 
+    filming: Filming
     views: BoardViews
     rig: Rig
-    Ts_lab_board: Float[np.ndarray, "frame 4 4"]
-    delays_s: Float[np.ndarray, " camera"]
-    optics: tuple[Intrinsics, ...] = field(default=())
+    optics: tuple[Intrinsics, ...]
+    Ts_cam_board: Float[np.ndarray, "camera frame 4 4"]
 
 
 def scatter_lenses(rig: Rig, source: np.random.Generator) -> Rig:
@@ -77,10 +89,9 @@ class Sweep:
     Held still, each pose is a new one; moving, all of it changes smoothly, by some 0.4 m/s and 40° a second.
     """
 
-    def __init__(self, source: np.random.Generator, board: Board, filming: Filming) -> None:
-        self._source = source
+    def __init__(self, source: np.random.Generator, filming: Filming) -> None:
         self._filming = filming
-        self._middle = board.corners_board_m.mean(axis=0)
+        self._middle = filming.board.corners_board_m.mean(axis=0)
         self._phases = source.uniform(0, 2 * np.pi, 6)
         self._rates = source.uniform(0.05, 0.09, 6) * 2 * np.pi
 
@@ -122,43 +133,75 @@ def _facing(
 def film(seed: int, filming: Filming = Filming()) -> Session:
     """Film a session: the corners that each camera sees from the front and inside its picture."""
     source = np.random.default_rng(seed)
-    rig = scatter_lenses(PAPER_RIG, source)
-    sweep = Sweep(source, BOARD, filming)
-    times_s = np.arange(filming.poses) * (10.0 if filming.still else 1 / RATE_HZ)
-    printed = BOARD.corners_board_m * np.array([1 + filming.stretch, 1.0, 1.0])
-    uv_px = np.full((len(rig.cameras), filming.poses, BOARD.corner_count, 2), np.nan)
-    for index, camera in enumerate(rig.cameras):
-        if filming.blind_camera and index == len(rig.cameras) - 1:
-            continue
-        seen_s = times_s - filming.delays_s[index] - source.normal(0, filming.blur_s or 1e-12, filming.poses)
-        standing = np.repeat(camera.T_cam_lab[None], filming.poses, axis=0)
-        if index == 1:
-            knock = Rotation.from_rotvec(np.deg2rad(filming.bump_deg) * np.array([0.6, 0.8, 0.0])).as_matrix()
-            standing[filming.poses // 2 :] = transform(knock, np.zeros(3)) @ standing[0]
-        uv_px[index] = _project(camera, standing @ sweep.poses(seen_s), printed)
+    ring = make_rig(
+        filming.cameras, radius_m=filming.radius_m, height_m=2.0, image_size_px=IMAGE_SIZE_PX, focal_px=600.0
+    )
+    rig = scatter_lenses(ring, source)
+    board, sweep = filming.board, Sweep(source, filming)
+    times_s = np.arange(filming.poses) * (10.0 if filming.still else 1 / filming.rate_hz)
+    Ts_cam_board = np.stack(
+        [_before(camera, index, times_s, sweep, filming, source) for index, camera in enumerate(rig.cameras)]
+    )
+    printed = board.corners_board_m * np.array([1 + filming.stretch, 1.0, 1.0])
+    uv_px = np.stack([_project(camera, Ts, printed) for camera, Ts in zip(rig.cameras, Ts_cam_board, strict=True)])
+    if filming.blind_camera:
+        uv_px[-1] = np.nan
     uv_px += source.normal(0, filming.noise_px, uv_px.shape)
     views = BoardViews(
         camera_names=rig.names,
         image_sizes_px=tuple(camera.image_size_px for camera in rig.cameras),
-        board=BOARD,
+        board=board,
         times_s=times_s,
         uv_px=uv_px,
     )
-    session = Session(views, rig, sweep.poses(times_s), np.array(filming.delays_s))
-    return replace(session, optics=tuple(separate_optics(camera, source) for camera in rig.cameras))
+    optics = tuple(separate_optics(camera, source) for camera in rig.cameras)
+    return Session(filming, views, rig, optics, Ts_cam_board)
+
+
+def _before(
+    camera: Camera, index: int, times_s: np.ndarray, sweep: Sweep, filming: Filming, source: np.random.Generator
+) -> Float[np.ndarray, "frame 4 4"]:
+    """Give the board's pose before a camera at the instants of its own pictures."""
+    late_s = filming.delay_s if index == filming.cameras - 1 else 0.0
+    seen_s = times_s - late_s - source.normal(0, filming.blur_s or 1e-12, len(times_s))
+    standing = np.repeat(camera.T_cam_lab[None], len(times_s), axis=0)
+    if index == 1:
+        knock = Rotation.from_rotvec(np.deg2rad(filming.bump_deg) * np.array([0.6, 0.8, 0.0])).as_matrix()
+        standing[len(times_s) // 2 :] = transform(knock, np.zeros(3)) @ standing[0]
+    return standing @ sweep.poses(seen_s)
 
 
 def _project(
-    camera: Camera, T_cam_board: Float[np.ndarray, "frame 4 4"], corners: Float[np.ndarray, "corner 3"]
+    camera: Camera, T_cam_board: Float[np.ndarray, "frame 4 4"], corners_m: Float[np.ndarray, "corner 3"]
 ) -> Float[np.ndarray, "frame corner 2"]:
-    xyz = np.stack([apply(T, corners) for T in T_cam_board])
-    facing = -np.einsum("fi,fi->f", T_cam_board[:, :3, 2], xyz.mean(axis=1)) / np.linalg.norm(xyz.mean(axis=1), axis=1)
-    distorted, _ = distort(xyz[..., :2] / xyz[..., 2:], camera.distortion)
-    uv = distorted @ camera.intrinsic_px[:2, :2].T + camera.intrinsic_px[:2, 2]
-    inside = np.all((uv > 4) & (uv < np.array(camera.image_size_px) - 5), axis=-1) & (xyz[..., 2] > 0.3)
-    inside &= (-facing > np.cos(np.deg2rad(70)))[:, None]  # steeper, and no detector reads the squares
-    inside &= (inside.sum(axis=1) >= 6)[:, None]
+    xyz = np.stack([apply(T, corners_m) for T in T_cam_board])
+    middle = xyz.mean(axis=1)
+    facing = np.einsum("fi,fi->f", T_cam_board[:, :3, 2], middle) / np.linalg.norm(middle, axis=1)
+    uv = project(replace(camera, T_lab_cam=np.eye(4)), xyz)
+    inside = np.all((uv > EDGE_PX) & (uv < np.array(camera.image_size_px) - 1 - EDGE_PX), axis=-1) & (xyz[..., 2] > 0.3)
+    inside &= (facing > np.cos(STEEPEST_RAD))[:, None]
+    inside &= (inside.sum(axis=1) >= MIN_CORNERS)[:, None]
     return np.where(inside[..., None], uv, np.nan)
+
+
+def write_films(session: Session, folder: Path, *, blur_px: float = 0.7, seed: int = 0) -> list[Path]:
+    """Render what each camera shows, stretched print and all, as a video in ``folder``; named after its camera."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = render_board(session.filming.board, PX_PER_SQUARE)
+    wide = round(picture.shape[1] * (1 + session.filming.stretch))
+    first = 1.5 * PX_PER_SQUARE - 0.5
+    printed = Print(
+        np.ascontiguousarray(picture[:, np.arange(wide) * picture.shape[1] // wide]),
+        session.filming.board.square_m / PX_PER_SQUARE,
+        ((first + 0.5) * wide / picture.shape[1] - 0.5, first),
+    )
+    paths: list[Path] = []
+    for camera, Ts in zip(session.rig.cameras, session.Ts_cam_board, strict=True):
+        standing = replace(camera, T_lab_cam=np.eye(4))
+        pictures = (draw_board(standing, T, printed, blur_px=blur_px, seed=seed + n) for n, T in enumerate(Ts))
+        paths.append(folder / f"{camera.name}.mp4")
+        write_video(paths[-1], (np.repeat(grey[..., None], 3, axis=2) for grey in pictures), session.filming.rate_hz)
+    return paths
 
 
 def separate_optics(camera: Camera, source: np.random.Generator) -> Intrinsics:
@@ -196,9 +239,7 @@ def volume_error_mm(cameras: tuple[Camera, ...], truth: Rig) -> float:
     grid = np.stack(np.meshgrid([-1.5, 0, 1.5], [0.1, 0.9, 1.7], [-1.5, 0, 1.5], indexing="ij"), -1).reshape(-1, 3)
     uv_px, projections = [], []
     for found, true in zip(cameras, truth.cameras, strict=True):
-        xyz = apply(true.T_cam_lab, grid)
-        distorted, _ = distort(xyz[:, :2] / xyz[:, 2:], true.distortion)
-        pixels = distorted @ true.intrinsic_px[:2, :2].T + true.intrinsic_px[:2, 2]
+        pixels = project(true, grid)
         inside = np.all((pixels > 0) & (pixels < np.array(true.image_size_px) - 1), axis=1)
         uv_px.append(np.where(inside[:, None], undistort(found, pixels), np.nan))
         projections.append(found.intrinsic_px @ found.T_cam_lab[:3])

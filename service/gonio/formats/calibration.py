@@ -37,6 +37,15 @@ def read_calibration(path: Path) -> Rig:
     return readers[kind](path)
 
 
+def read_own_calibration(path: Path) -> Calibration | None:
+    """Read all of gonio's own file, verdict and error bars included; None for a file of another program.
+
+    Raises:
+        InputError: As :func:`read_calibration`.
+    """
+    return read_calibration_document(path) if _kind(path) == "gonio" else None
+
+
 def read_intrinsics(path: Path) -> tuple[Intrinsics, ...]:
     """Read the optics of the cameras in a file, with their error bars where it has them (gonio's own).
 

@@ -5,6 +5,7 @@ is null.
 """
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ from gonio.records import (
     UNKNOWNS,
     Calibration,
     Camera,
+    Finding,
     Intrinsics,
     Judgement,
     LabFrame,
@@ -24,6 +26,7 @@ from gonio.records import (
     LensModel,
     Level,
     Rig,
+    Severity,
     Verdict,
     Volume,
 )
@@ -108,6 +111,19 @@ class VerdictDocument(_Strict):
     judgements: list[JudgementDocument]
 
 
+class FindingDocument(_Strict):
+    """Something that whoever uses the calibration should know, in words, and what to do about it."""
+
+    code: str
+    severity: Severity
+    stage: str
+    message: str
+    hint: str
+    where: str
+    value: float | None
+    unit: str
+
+
 class CalibrationDocument(_Strict):
     """A calibrated rig."""
 
@@ -124,6 +140,7 @@ class CalibrationDocument(_Strict):
     lab: LabDocument
     volume: VolumeDocument
     verdict: VerdictDocument
+    findings: list[FindingDocument] = []
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -204,6 +221,7 @@ def _document(calibration: Calibration) -> CalibrationDocument:
                     for j in calibration.verdict.judgements
                 ],
             },
+            "findings": [asdict(finding) for finding in calibration.findings],
         }
     )
 
@@ -275,6 +293,7 @@ def _calibration(document: CalibrationDocument) -> Calibration:
         ),
         board=document.board,
         left_out=tuple(document.left_out),
+        findings=tuple(Finding(**finding.model_dump()) for finding in document.findings),
     )
 
 

@@ -27,8 +27,8 @@ class FloorPoints:
     xyz_lab_m: Float[np.ndarray, "point 3"]
 
 
-def read_floor_points(path: Path, camera_names: tuple[str, ...]) -> FloorPoints:
-    """Read the points; cameras that are not named in ``camera_names`` are an error.
+def read_floor_points(path: Path, camera_names: tuple[str, ...] | None) -> FloorPoints:
+    """Read the points; cameras that are not named in ``camera_names`` are an error, with None all that the file names are.
 
     Raises:
         InputError: ``floor-points-unreadable``; the message names the point and what is wrong with it.
@@ -39,6 +39,9 @@ def read_floor_points(path: Path, camera_names: tuple[str, ...]) -> FloorPoints:
         raise _bad(path, str(error).splitlines()[0]) from error
     if not isinstance(points, dict) or not points:
         raise _bad(path, "it has no table [points.…]")
+    if camera_names is None:
+        entries_of = (entries for entries in points.values() if isinstance(entries, dict))
+        camera_names = tuple(dict.fromkeys(key for entries in entries_of for key in entries if key != "lab_m"))
     uv_px = np.full((len(camera_names), len(points), 2), np.nan)
     xyz_lab_m = np.full((len(points), 3), np.nan)
     for index, (name, entries) in enumerate(points.items()):

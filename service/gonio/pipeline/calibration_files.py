@@ -4,16 +4,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from gonio.errors import InputError
 from gonio.formats.board_card import BoardCard, load_board_card, read_board_card
 from gonio.pipeline.folder import VIDEO_SUFFIXES
+from gonio.pipeline.run import CalibrationRole, CaptureFile
 from gonio.vision.stills import IMAGE_SUFFIXES
-
-CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_points"]
-"""``sweep``: all cameras film the board at the same time. ``lens``: one camera films it alone, close. ``floor``: it lies on
-the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points."""
 
 ROLE_FOLDERS: dict[str, CalibrationRole] = {
     "intrinsic": "lens", "intrinsics": "lens", "int": "lens", "lens": "lens", "lenses": "lens",
@@ -24,16 +20,6 @@ ROLE_NAMES: dict[str, CalibrationRole] = {
     "optics": "optics", "intrinsics": "optics", "lenses": "optics", "camera_array": "optics",
 }  # fmt: skip
 OUR_FOLDER = "gonio"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationFile:
-    """One file, as the calibration sees it: a local path, the name its owner gave it, what it is, and whose."""
-
-    path: Path
-    name: str
-    role: CalibrationRole
-    camera: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,7 +35,7 @@ class CameraPictures:
         return len(self.paths) == 1 and self.paths[0].suffix.lower() in VIDEO_SUFFIXES
 
 
-def find_calibration_files(folder: Path) -> list[CalibrationFile]:
+def find_calibration_files(folder: Path) -> list[CaptureFile]:
     """List what a folder and its subfolders hold for a calibration.
 
     Pictures are a lens's own in a folder called ``intrinsics`` (or ``lens``), the floor's in ``floor``, and the sweep
@@ -65,15 +51,15 @@ def find_calibration_files(folder: Path) -> list[CalibrationFile]:
             hint="Give the folder with the cameras' videos of the board.",
             code="folder-missing",
         )
-    found: list[CalibrationFile] = []
+    found: list[CaptureFile] = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and OUR_FOLDER not in p.relative_to(folder).parts):
         suffix, stem = path.suffix.lower(), path.stem.lower()
         if suffix in VIDEO_SUFFIXES | IMAGE_SUFFIXES:
             role, camera = _role_and_camera(path.relative_to(folder), suffix in IMAGE_SUFFIXES)
-            found.append(CalibrationFile(path=path, name=path.name, role=role, camera=camera))
+            found.append(CaptureFile(path=path, name=path.name, role=role, camera=camera))
         elif stem.removesuffix(".qca") in ROLE_NAMES:
             role = ROLE_NAMES[stem.removesuffix(".qca")]
-            found.append(CalibrationFile(path=path, name=path.name, role=role))
+            found.append(CaptureFile(path=path, name=path.name, role=role))
     if not any(file.role in ("sweep", "lens") for file in found):
         raise InputError(
             f"{folder} holds no videos or photographs of a board.",
@@ -83,13 +69,13 @@ def find_calibration_files(folder: Path) -> list[CalibrationFile]:
     return found
 
 
-def pictures_of(files: Sequence[CalibrationFile], role: CalibrationRole) -> tuple[CameraPictures, ...]:
+def pictures_of(files: Sequence[CaptureFile], role: CalibrationRole) -> tuple[CameraPictures, ...]:
     """Group the files of a role by camera.
 
     Raises:
         InputError: ``calibration-files-mixed``: a camera has two videos, or a video and photographs.
     """
-    grouped: dict[str, list[CalibrationFile]] = {}
+    grouped: dict[str, list[CaptureFile]] = {}
     for file in files:
         if file.role == role:
             grouped.setdefault(file.camera or file.path.stem, []).append(file)
@@ -106,7 +92,7 @@ def pictures_of(files: Sequence[CalibrationFile], role: CalibrationRole) -> tupl
     )
 
 
-def read_card(files: Sequence[CalibrationFile], wanted: str) -> BoardCard:
+def read_card(files: Sequence[CaptureFile], wanted: str) -> BoardCard:
     """Give the board's card: the one that was named, else the one among the files.
 
     Raises:
@@ -126,7 +112,7 @@ def read_card(files: Sequence[CalibrationFile], wanted: str) -> BoardCard:
     return read_board_card(cards[0].path)
 
 
-def only_file(files: Sequence[CalibrationFile], role: CalibrationRole) -> CalibrationFile | None:
+def only_file(files: Sequence[CaptureFile], role: CalibrationRole) -> CaptureFile | None:
     """Give the only file of a role, None where there is none.
 
     Raises:

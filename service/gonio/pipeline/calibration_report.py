@@ -1,7 +1,5 @@
 """Stage ``calibration-report``: a calibration written down for gonio, for other programs and for people."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,8 @@ from gonio.kernel.calibration.rig import RigSolution
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.kernel.geometry.transforms import apply
 from gonio.pipeline.calibration_figures import coverage_figure, plan_figure
-from gonio.records import BoardViews, Calibration, Finding, Judgement, Level
+from gonio.pipeline.run import ReportFiles
+from gonio.records import BoardViews, Calibration, Judgement, Level, RigCheck
 
 FILES = ("calibration.json", "calibration.toml", "calibration.qca.txt", "calibration.yml")
 
@@ -44,32 +43,23 @@ NAMES = {
 """What each criterion is called in the report."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationFiles:
-    """What a calibration wrote into its output folder: gonio's own document, the page, and the other formats."""
-
-    document: Path
-    page: Path
-    others: tuple[Path, ...]
-
-
 def write_calibration_report(
     calibration: Calibration,
     views: BoardViews,
     solution: RigSolution,
-    findings: Sequence[Finding],
+    check: RigCheck | None,
     output_dir: Path,
-) -> CalibrationFiles:
+) -> ReportFiles:
     """Write ``calibration.json``, the same for other programs (Pose2Sim, Qualisys, OpenCV) and ``calibration.html``."""
     paths = [output_dir / name for name in FILES]
     for path in paths:
         write_calibration_as(path, calibration)
     page = output_dir / "calibration.html"
-    page.write_text(render(calibration, views, solution, findings), encoding="utf-8")
-    return CalibrationFiles(document=paths[0], page=page, others=tuple(paths[1:]))
+    page.write_text(render(calibration, views, solution, check), encoding="utf-8")
+    return ReportFiles(document=paths[0], page=page, others=tuple(paths[1:]))
 
 
-def render(calibration: Calibration, views: BoardViews, solution: RigSolution, findings: Sequence[Finding]) -> str:
+def render(calibration: Calibration, views: BoardViews, solution: RigSolution, check: RigCheck | None) -> str:
     """Render the calibration as one self-contained page; the worst findings come first."""
     order = {"serious": 0, "warning": 1, "info": 2}
     corners = [
@@ -87,7 +77,8 @@ def render(calibration: Calibration, views: BoardViews, solution: RigSolution, f
         level=CSS_CLASSES[calibration.verdict.level],
         label=LABELS[calibration.verdict.level],
         sentence=SENTENCES[calibration.verdict.level],
-        findings=sorted(findings, key=lambda f: order[f.severity]),
+        findings=sorted(calibration.findings, key=lambda f: order[f.severity]),
+        check=[] if check is None else check_rows(check),
         criteria=[criterion_row(judgement) for judgement in calibration.verdict.judgements],
         cameras=[camera_row(calibration, index) for index in range(len(calibration.rig.cameras))],
         plan_svg=plan_figure(calibration.rig, np.concatenate(corners)),
@@ -109,6 +100,21 @@ def criterion_row(judgement: Judgement) -> dict[str, str]:
         "level": judgement.level,
         "reason": criterion.reason,
     }
+
+
+def check_rows(check: RigCheck) -> list[dict[str, str]]:
+    """Describe how the earlier calibration fits, a row a camera."""
+    return [
+        {
+            "name": name,
+            "miss": f"{check.miss_px[camera]:.2f} px",
+            "turned": f"{np.rad2deg(check.turned_rad[camera]):.2f}°",
+            "shifted": f"{1000 * check.shifted_m[camera]:.0f} mm",
+            "css": "poor" if check.moved[camera] else "good",
+            "state": "has moved" if check.moved[camera] else "stands as it stood",
+        }
+        for camera, name in enumerate(check.camera_names)
+    ]
 
 
 def camera_row(calibration: Calibration, index: int) -> dict[str, str]:

@@ -56,6 +56,40 @@ KINDS: dict[str, Kind] = {
         "Check the places of the floor points, or that the board lay flat and still.",
         "mm",
     ),
+    "camera-moved": Kind(
+        "serious",
+        "comparison",
+        "Camera {where} no longer stands where the earlier calibration has it: it sees the board {value:.1f} px beside where "
+        "the others see it.",
+        "Use this new calibration instead of the earlier one, if it is accepted; fix the tripod.",
+        "px",
+    ),
+    "cameras-steady": Kind(
+        "info",
+        "comparison",
+        "All cameras stand where the earlier calibration has them: they agree about the board to {value:.2f} px.",
+        "Go on with the earlier calibration.",
+        "px",
+    ),
+    "camera-not-checked": Kind(
+        "warning",
+        "comparison",
+        "Camera {where} is part of the earlier calibration, but did not see the board together with the others: whether it "
+        "moved is not known.",
+        "Film the board with this camera too.",
+    ),
+    "calibration-rejected": Kind(
+        "serious",
+        "calibration",
+        "The calibration of these cameras was rejected when it was made. {where}",
+        "Calibrate again; until then, trust no angle and no distance.",
+    ),
+    "calibration-doubtful": Kind(
+        "warning",
+        "calibration",
+        "The calibration of these cameras was accepted with warnings. {where}",
+        "Read the calibration's own page: it says what to film next time.",
+    ),
     "scale-unverified": Kind(
         "info",
         "verdict",

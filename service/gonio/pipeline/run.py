@@ -16,7 +16,15 @@ from gonio.records import Finding
 
 T = TypeVar("T")
 
-Role = Literal["video", "calibration", "body_model", "marker_set"]
+SessionKind = Literal["human_multicamera", "calibration"]
+
+TrialRole = Literal["video", "calibration", "body_model", "marker_set"]
+CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_points", "previous"]
+"""``sweep``: all cameras film the board at the same time. ``lens``: one camera films it alone, close. ``floor``: it lies on
+the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points,
+``previous`` gonio's calibration of the same cameras, which is checked."""
+
+Role = Literal[TrialRole, CalibrationRole]
 
 STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
@@ -53,7 +61,7 @@ class CaptureFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportFiles:
-    """What an analysis wrote into its output folder; ``others`` are the files for further work (TRC, MOT)."""
+    """What an analysis or a calibration wrote into its output folder; ``others`` are the files for other programs."""
 
     document: Path
     page: Path
@@ -94,7 +102,7 @@ class StageRunner(Protocol):
 
 
 class Analyse(Protocol):
-    """The signature of ``gonio.pipeline.analyse``, which a job calls."""
+    """The signature of ``gonio.pipeline.analyse`` and of ``gonio.pipeline.calibration.calibrate``, which jobs call."""
 
     def __call__(
         self,
@@ -109,6 +117,14 @@ class Analyse(Protocol):
         (``mass_kg``, ``stature_m``, ``sex``: each may be missing).
         """
         ...
+
+
+@dataclass(frozen=True)
+class River:
+    """What a job of one kind of session runs; ``shares`` are its stages' shares of the wall time, in order."""
+
+    compute: Analyse
+    shares: Mapping[str, float]
 
 
 class Estimate:

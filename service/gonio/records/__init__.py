@@ -26,6 +26,7 @@ from gonio.records.calibration import (
     LabFrame,
     LabSource,
     Level,
+    RigCheck,
     Verdict,
     Volume,
 )
@@ -92,6 +93,7 @@ __all__ = [
     "Measurement",
     "Motion",
     "Rig",
+    "RigCheck",
     "Severity",
     "Steps",
     "Tasks",

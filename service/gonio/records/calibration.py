@@ -3,10 +3,11 @@
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gonio.errors import InputError
 from gonio.records.camera import Rig
+from gonio.records.finding import Finding
 from gonio.records.intrinsics import Intrinsics
 from gonio.records.record import record
 
@@ -75,12 +76,29 @@ class LabFrame:
 
 
 @record
+class RigCheck:
+    """How an earlier calibration fits a new sweep; arrays run over the cameras that both have.
+
+    ``miss_px`` is by how much a camera misses the boards that the steady cameras pose, in the median. ``turned_rad`` and
+    ``shifted_m`` say how far each camera is from where it was, against the steady ones; of those that is the comparison's
+    own uncertainty. ``T_lab_cam1`` takes the first of these cameras' frame to the earlier calibration's lab.
+    """
+
+    camera_names: tuple[str, ...]
+    miss_px: Float[np.ndarray, " camera"]
+    moved: Bool[np.ndarray, " camera"]
+    turned_rad: Float[np.ndarray, " camera"]
+    shifted_m: Float[np.ndarray, " camera"]
+    T_lab_cam1: Float[np.ndarray, "4 4"]
+
+
+@record
 class Calibration:
     """A calibrated rig: where the cameras stand, how late they run, and how well all of it is known.
 
     ``delay_s`` is by how much each camera runs late against the first (positive: it shows what was). ``covariance`` is
     that of all cameras' :data:`UNKNOWNS`, in the order camera, unknown, 0 for what was held; ``sigma_px`` the noise of
-    a corner. ``left_out`` names cameras that could not be connected.
+    a corner. ``left_out`` names cameras that could not be connected; ``findings`` are what its report says in words.
     """
 
     rig: Rig
@@ -93,6 +111,7 @@ class Calibration:
     verdict: Verdict
     board: str
     left_out: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.rig.cameras)
