@@ -134,9 +134,14 @@ def film(seed: int, filming: Filming = Filming()) -> Session:
     """Film a session: the corners that each camera sees from the front and inside its picture."""
     source = np.random.default_rng(seed)
     ring = make_rig(
-        filming.cameras, radius_m=filming.radius_m, height_m=2.0, image_size_px=IMAGE_SIZE_PX, focal_px=600.0
+        filming.cameras if filming.cameras > 3 else 6,
+        radius_m=filming.radius_m,
+        height_m=2.0,
+        image_size_px=IMAGE_SIZE_PX,
+        focal_px=600.0,
     )
-    rig = scatter_lenses(ring, source)
+    # Two or three cameras are neighbours on a ring of six: opposite ones never see the same side of a board.
+    rig = scatter_lenses(replace(ring, cameras=ring.cameras[: filming.cameras]), source)
     board, sweep = filming.board, Sweep(source, filming)
     times_s = np.arange(filming.poses) * (10.0 if filming.still else 1 / filming.rate_hz)
     Ts_cam_board = np.stack(

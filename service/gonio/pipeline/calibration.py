@@ -172,13 +172,13 @@ def compare(views: BoardViews, earlier: Calibration) -> Outcome[RigCheck]:
     optics = tuple(intrinsics_of(camera, "the earlier calibration") for camera in earlier.rig.cameras)
     check = check_rig(views, optics, earlier.rig)
     findings = [
-        finding("camera-moved", where=name, value=float(miss))
-        for name, miss, moved in zip(check.camera_names, check.miss_px, check.moved, strict=True)
+        finding("camera-moved", where=name, value=float(shift))
+        for name, shift, moved in zip(check.camera_names, check.shift_px, check.moved, strict=True)
         if moved
     ]
     findings += [finding("camera-not-checked", where=n) for n in earlier.rig.names if n not in check.camera_names]
     if not findings:
-        findings.append(finding("cameras-steady", value=float(check.miss_px.max())))
+        findings.append(finding("cameras-steady", value=float(check.shift_px.max())))
     return Outcome(check, tuple(findings))
 
 

@@ -1,9 +1,8 @@
 """Stages ``recording``, ``lens-boards``, ``boards`` and ``floor-boards``: where the cameras saw the board."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from threading import Lock
 
 import numpy as np
 
@@ -26,6 +25,9 @@ STILLS_PERIOD_S = 10.0
 """Photographs were taken at rest, so far apart that nothing is concluded about the motion between them."""
 
 SAMPLE_PICTURES = 6
+FEW_FOUND = 3
+"""A wrong card shares a few markers with the board, and is found by accident: below this, the pictures are asked again."""
+
 MAX_CAMERAS = 16
 
 
@@ -203,28 +205,23 @@ def _find(
     pictures: dict[str, Pictures], board: Board, total: int, progress: Progress, *, thorough: bool
 ) -> tuple[tuple[BoardTrack, ...], tuple[Finding, ...]]:
     """Find the board, in its other layout if need be; say why where it is nowhere."""
-    tracks = find_boards(pictures, board, thorough=thorough, on_picture=_counter(total, progress))
-    if any((track.corner_counts > 0).any() for track in tracks):
+
+    def share(done: int) -> None:
+        progress(min(done / max(total, 1), 1.0))
+
+    tracks = find_boards(pictures, board, thorough=thorough, on_progress=share)
+    found = sum(int((track.corner_counts > 0).sum()) for track in tracks)
+    if found >= FEW_FOUND:
         return tracks, ()
     sample = [picture for source in pictures.values() for picture in _spread(source, SAMPLE_PICTURES)]
     if not shows_other_layout(sample, board):
-        raise explain_missing(sample, board, ", ".join(pictures))
+        reason = explain_missing(sample, board, ", ".join(pictures))
+        if found and reason.code != "board-card-wrong":
+            return tracks, ()
+        raise reason
     other = replace(board, legacy_pattern=not board.legacy_pattern)
-    tracks = find_boards(pictures, other, thorough=thorough, on_picture=_counter(total, progress))
+    tracks = find_boards(pictures, other, thorough=thorough, on_progress=share)
     return tracks, (finding("board-layout"),)
-
-
-def _counter(total: int, progress: Progress) -> Callable[[], None]:
-    """Count pictures from several threads."""
-    lock, done = Lock(), [0]
-
-    def count() -> None:
-        with lock:
-            done[0] += 1
-            fraction = min(done[0] / max(total, 1), 1.0)
-        progress(fraction)
-
-    return count
 
 
 def _spread(source: Pictures, count: int) -> list[np.ndarray]:

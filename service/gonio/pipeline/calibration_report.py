@@ -107,7 +107,7 @@ def check_rows(check: RigCheck) -> list[dict[str, str]]:
     return [
         {
             "name": name,
-            "miss": f"{check.miss_px[camera]:.2f} px",
+            "off": f"{check.shift_px[camera]:.2f} px",
             "turned": f"{np.rad2deg(check.turned_rad[camera]):.2f}°",
             "shifted": f"{1000 * check.shifted_m[camera]:.0f} mm",
             "css": "poor" if check.moved[camera] else "good",

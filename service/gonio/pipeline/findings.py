@@ -59,15 +59,16 @@ KINDS: dict[str, Kind] = {
     "camera-moved": Kind(
         "serious",
         "comparison",
-        "Camera {where} no longer stands where the earlier calibration has it: it sees the board {value:.1f} px beside where "
-        "the others see it.",
+        "Camera {where} no longer stands where the earlier calibration has it: its picture of the board is off by "
+        "{value:.1f} px.",
         "Use this new calibration instead of the earlier one, if it is accepted; fix the tripod.",
         "px",
     ),
     "cameras-steady": Kind(
         "info",
         "comparison",
-        "All cameras stand where the earlier calibration has them: they agree about the board to {value:.2f} px.",
+        "All cameras stand where the earlier calibration has them: their pictures of the board are off by {value:.2f} px "
+        "at most.",
         "Go on with the earlier calibration.",
         "px",
     ),

@@ -80,7 +80,10 @@ class Progress(Protocol):
     """Says how far a stage is. May raise ``Cancelled``, or whatever else its runner stops a stage with: let it pass."""
 
     def __call__(self, fraction: float) -> None:
-        """Report the done fraction of the stage, 0 to 1; at least twice a second in a long stage, more is free."""
+        """Report the done fraction of the stage, 0 to 1; at least twice a second in a long stage, more is free.
+
+        In the thread that runs the stage: a runner may know no other.
+        """
         ...
 
 

@@ -79,13 +79,13 @@ class LabFrame:
 class RigCheck:
     """How an earlier calibration fits a new sweep; arrays run over the cameras that both have.
 
-    ``miss_px`` is by how much a camera misses the boards that the steady cameras pose, in the median. ``turned_rad`` and
+    ``shift_px`` is by how much a camera's picture of the board is off from its old place, in the median. ``turned_rad`` and
     ``shifted_m`` say how far each camera is from where it was, against the steady ones; of those that is the comparison's
     own uncertainty. ``T_lab_cam1`` takes the first of these cameras' frame to the earlier calibration's lab.
     """
 
     camera_names: tuple[str, ...]
-    miss_px: Float[np.ndarray, " camera"]
+    shift_px: Float[np.ndarray, " camera"]
     moved: Bool[np.ndarray, " camera"]
     turned_rad: Float[np.ndarray, " camera"]
     shifted_m: Float[np.ndarray, " camera"]

@@ -5,9 +5,10 @@ out on a sample of the pictures, so that the rest is searched in one way only. E
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Protocol
 
 import cv2
@@ -24,6 +25,7 @@ SAMPLE_STRIDES = (16, 4, 1)
 """Every so many pictures are tried in all ways, ever more of them, until the board's way is known."""
 
 ENOUGH_VOTES = 3
+PROGRESS_EVERY_S = 0.2
 PROBE_EVERY = 8
 """Of the pictures without a board, every so many are tried in the other way too: somebody may have turned it round."""
 
@@ -80,7 +82,7 @@ def find_boards(
     board: Board,
     *,
     thorough: bool = False,
-    on_picture: Callable[[], None] = lambda: None,
+    on_progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[BoardTrack, ...]:
     """Find the board in the pictures of all cameras, in their order.
 
@@ -88,20 +90,29 @@ def find_boards(
         cameras: Each camera's pictures by its name.
         board: The board; whether it is inverted is found out, whatever its card says.
         thorough: Spend more time on pictures in which the quick search fails: for photographs.
-        on_picture: Is called whenever a picture is done, from several threads.
+        on_progress: Hears several times a second how many pictures are done, in the caller's thread; what it raises
+            stops the search.
 
     Raises:
         CaptureError: ``pictures-differ-in-size``.
         InputError: The card is not valid, or a picture can't be read.
     """
-    searches = [_Search(name, pictures, board, thorough, on_picture) for name, pictures in cameras.items()]
+    stop = Event()
+    searches = [_Search(name, pictures, board, thorough, stop) for name, pictures in cameras.items()]
     # OpenCV works on each picture with all cores; with a thread a camera they would only be in each other's way.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
         with ThreadPoolExecutor(max_workers=available_cores()) as pool:
             inverted = _find_polarity(searches, board, pool)
-            list(pool.map(lambda search: search.run(inverted), searches))
+            futures = [pool.submit(search.run, inverted) for search in searches]
+            try:
+                while wait(futures, timeout=PROGRESS_EVERY_S).not_done:
+                    on_progress(sum(search.done for search in searches))
+            finally:
+                stop.set()
+            for future in futures:
+                future.result()
     finally:
         cv2.setNumThreads(threads)
     return tuple(search.track() for search in searches)
@@ -122,14 +133,13 @@ def _find_polarity(searches: Sequence["_Search"], board: Board, pool: ThreadPool
 class _Search:
     """The search through one camera's pictures."""
 
-    def __init__(
-        self, name: str, pictures: Pictures, board: Board, thorough: bool, on_picture: Callable[[], None]
-    ) -> None:
+    def __init__(self, name: str, pictures: Pictures, board: Board, thorough: bool, stop: Event) -> None:
         self._name = name
         self._pictures = pictures
         self._board = board
         self._thorough = thorough
-        self._on_picture = on_picture
+        self._stop = stop
+        self.done = 0
         self._finder: BoardFinder = open_finder(board)
         self._size_px: tuple[int, int] | None = None
         self._numbers: list[int] = []
@@ -154,6 +164,8 @@ class _Search:
         sides = {found.look.mirrored for found in self.found.values()} if has_back else {False}
         misses, found_before = 0, False
         for number, grey in self._pictures():
+            if self._stop.is_set():
+                return
             self._check_size(grey)
             self._numbers.append(number)
             if number not in self.found and number not in self._tried:
@@ -165,7 +177,7 @@ class _Search:
             found_before = number in self.found
             if found_before:
                 sides.add(self.found[number].look.mirrored)
-            self._on_picture()
+            self.done += 1
 
     def _try(self, number: int, grey: Grey, looks: Sequence[Look], *, thorough: bool = False) -> None:
         for look in looks:

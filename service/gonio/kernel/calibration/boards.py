@@ -96,7 +96,7 @@ class Adjusted:
     def sd(self, camera: int) -> Float[np.ndarray, "16"]:
         """Give the standard deviations of a camera's unknowns."""
         first = camera * CAMERA_UNKNOWNS
-        return np.sqrt(np.diag(self.covariance)[first : first + CAMERA_UNKNOWNS])
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0)[first : first + CAMERA_UNKNOWNS])
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _round(observations: Observations, start: Scene, prior: Prior, sigma_px: flo
     """Minimise at a given level of noise, and estimate it anew."""
     tempered = replace(prior, information=inflation * prior.information)
     scene, converged, iterations = _minimise(observations, start, tempered, sigma_px)
-    residual = measure_residuals(observations, scene)
+    residual = _residuals(observations, scene)
     sigma_px = _robust_sigma(residual, observations.weight)
     covariance, inflation = _covariance(observations, scene, tempered, residual, sigma_px)
     return Adjusted(
@@ -172,7 +172,7 @@ def _round(observations: Observations, start: Scene, prior: Prior, sigma_px: flo
 
 def _minimise(observations: Observations, scene: Scene, prior: Prior, sigma_px: float) -> tuple[Scene, bool, int]:
     """Run Levenberg-Marquardt at a given level of noise: the scene, whether it converged, and the iterations."""
-    residual = measure_residuals(observations, scene)
+    residual = _residuals(observations, scene)
     cost, damping = _cost(residual, observations.weight, sigma_px, scene, prior), 1e-3
     size = np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -180,7 +180,7 @@ def _minimise(observations: Observations, scene: Scene, prior: Prior, sigma_px: 
         weight = observations.weight * share / sigma_px**2
         bend = np.minimum(2 * (1 - share), MOST_BEND) if size < NEAR else None
         trial, size = _step(scene, prior, _normal(observations, scene, prior, weight, bend, damping))
-        trial_residual = measure_residuals(observations, trial)
+        trial_residual = _residuals(observations, trial)
         trial_cost = _cost(trial_residual, observations.weight, sigma_px, trial, prior)
         if trial_cost <= cost:
             scene, residual, cost = trial, trial_residual, trial_cost
@@ -192,8 +192,7 @@ def _minimise(observations: Observations, scene: Scene, prior: Prior, sigma_px: 
     return scene, False, MAX_ITERATIONS
 
 
-def measure_residuals(observations: Observations, scene: Scene) -> Float[np.ndarray, "camera frame corner 2"]:
-    """Give observed minus predicted; NaN where nothing was observed, infinite where a corner would be behind a camera."""
+def _residuals(observations: Observations, scene: Scene) -> Float[np.ndarray, "camera frame corner 2"]:
     residual = np.full(observations.uv_px.shape, np.nan)
 
     def measure(start: int, stop: int) -> None:

@@ -230,7 +230,7 @@ def place_boards(
     known = np.isfinite(rough[:, 0, 0])
     placed = np.full_like(rough, np.nan)
     if known.any():
-        seen = np.isfinite(uv_px[:, known, :, 0])
+        seen = np.isfinite(uv_px[:, known])[..., 0]
         observations = Observations(
             corners_board_m=corners_board_m,
             uv_px=np.where(seen[..., None], uv_px[:, known], 0.0),
