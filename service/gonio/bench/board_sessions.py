@@ -144,13 +144,12 @@ def film(seed: int, filming: Filming = Filming()) -> Session:
     rig = scatter_lenses(replace(ring, cameras=ring.cameras[: filming.cameras]), source)
     board, sweep = filming.board, Sweep(source, filming)
     times_s = np.arange(filming.poses) * (10.0 if filming.still else 1 / filming.rate_hz)
-    Ts_cam_board = np.stack(
-        [_before(camera, index, times_s, sweep, filming, source) for index, camera in enumerate(rig.cameras)]
-    )
+    stood = [_before(camera, index, times_s, sweep, filming, source) for index, camera in enumerate(rig.cameras)]
+    if filming.blind_camera:
+        stood[-1][:, 2, 3] = -5.0  # behind it
+    Ts_cam_board = np.stack(stood)
     printed = board.corners_board_m * np.array([1 + filming.stretch, 1.0, 1.0])
     uv_px = np.stack([_project(camera, Ts, printed) for camera, Ts in zip(rig.cameras, Ts_cam_board, strict=True)])
-    if filming.blind_camera:
-        uv_px[-1] = np.nan
     uv_px += source.normal(0, filming.noise_px, uv_px.shape)
     views = BoardViews(
         camera_names=rig.names,
@@ -187,6 +186,18 @@ def _project(
     inside &= (facing > np.cos(STEEPEST_RAD))[:, None]
     inside &= (inside.sum(axis=1) >= MIN_CORNERS)[:, None]
     return np.where(inside[..., None], uv, np.nan)
+
+
+def face_on(camera: Camera, board: Board, count: int, seed: int = 0) -> Float[np.ndarray, "frame corner 2"]:
+    """Film a board close to one camera, all over its picture, and always parallel to it within 2°: a bad lens recording."""
+    source = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.deg2rad(1.0) * source.normal(size=(count, 3))).as_matrix()
+    distance_m = source.uniform(1.2, 2.0, count)
+    across, down = (distance_m * source.uniform(-reach, reach, count) for reach in (0.4, 0.3))
+    T[:, :3, 3] = np.stack([across, down, distance_m], axis=-1) - T[:, :3, :3] @ board.corners_board_m.mean(axis=0)
+    uv_px = _project(camera, T, board.corners_board_m)
+    return uv_px + source.normal(0, 0.3, uv_px.shape)
 
 
 def write_films(session: Session, folder: Path, *, blur_px: float = 0.7, seed: int = 0) -> list[Path]:

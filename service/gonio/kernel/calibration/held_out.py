@@ -17,7 +17,6 @@ from gonio.kernel.calibration.board_terms import DELAY
 from gonio.kernel.calibration.pairwise import MIN_COMMON_VIEWS
 from gonio.kernel.calibration.rig import RigSolution, solve_rig
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
-from gonio.kernel.geometry.transforms import inverse
 from gonio.kernel.triangulation.points import triangulate
 from gonio.records import BoardViews, Intrinsics, Rig, record
 
@@ -83,20 +82,28 @@ class _Measured:
         )
 
 
-def measure_boards(views: BoardViews, solution: RigSolution, frames: Int[np.ndarray, " chosen"]) -> BoardErrors:
+def measure_boards(
+    views: BoardViews, rig: Rig, delay_s: Float[np.ndarray, " camera"], frames: Int[np.ndarray, " chosen"]
+) -> BoardErrors:
     """Triangulate each corner of some frames from all cameras, delays taken out, and compare with the board.
 
     Nothing of the board's shape goes into it. Corners that fewer than two cameras see are left out.
+
+    Args:
+        views: Where the cameras saw the board.
+        rig: The cameras of the views, in their order.
+        delay_s: By how much each runs late.
+        frames: The frames to measure.
     """
-    return _measure(views, solution, frames).summary(views.board.square_m)
+    return _measure(views, rig, delay_s, frames).summary(views.board.square_m)
 
 
-def _measure(views: BoardViews, solution: RigSolution, frames: Int[np.ndarray, " chosen"]) -> _Measured:
+def _measure(
+    views: BoardViews, rig: Rig, delay_s: Float[np.ndarray, " camera"], frames: Int[np.ndarray, " chosen"]
+) -> _Measured:
     # Neighbours in time may lie outside the chosen frames: they only tell of motion.
-    uv_px = advance(views.uv_px[list(solution.cameras)], views.times_s, solution.scene.theta[:, DELAY])[:, frames]
-    lenses = solution.lenses(views)
-    rig = Rig(cameras=lenses, source="")
-    ideal = undistort_rig(rig, uv_px).reshape(len(lenses), -1, 2)
+    uv_px = advance(views.uv_px, views.times_s, delay_s)[:, frames]
+    ideal = undistort_rig(rig, uv_px).reshape(len(rig.cameras), -1, 2)
     seen = np.isfinite(ideal[..., 0]).astype(float)
     solved = triangulate(projection_matrices(rig), focal_lengths_px(rig), ideal, seen, method="reprojection")
     xyz = solved.xyz_lab_m.reshape(len(frames), -1, 3)
@@ -118,8 +125,7 @@ def solve_halves(views: BoardViews, intrinsics: Sequence[Intrinsics], solution: 
     optics = [intrinsics[c] for c in solution.cameras]
     chosen = some_cameras(views, solution.cameras)
     for count in BLOCKS:
-        blocks = np.array_split(solution.frames, count)
-        halves = np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
+        halves = split_blocks(solution.frames, count)
         try:
             first, second = (solve_rig(some_frames(chosen, half), optics) for half in halves)
         except (CaptureError, SolverError):
@@ -129,6 +135,12 @@ def solve_halves(views: BoardViews, intrinsics: Sequence[Intrinsics], solution: 
     return None
 
 
+def split_blocks(frames: Int[np.ndarray, " frame"], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cut frames into blocks, and give every other one, and the rest."""
+    blocks = np.array_split(frames, count)
+    return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
+
+
 def _is_held_together(solution: RigSolution) -> bool:
     return all(pair.common_views >= MIN_COMMON_VIEWS for pair in solution.pairs)
 
@@ -136,27 +148,34 @@ def _is_held_together(solution: RigSolution) -> bool:
 def _compare(
     views: BoardViews, solutions: tuple[RigSolution, RigSolution], halves: tuple[np.ndarray, np.ndarray]
 ) -> Halves:
-    measured = _measure(views, solutions[0], halves[1]), _measure(views, solutions[1], halves[0])
+    rigs = [Rig(cameras=solution.lenses(views), source="") for solution in solutions]
+    delays_s = [solution.scene.theta[:, DELAY] for solution in solutions]
+    measured = _measure(views, rigs[0], delays_s[0], halves[1]), _measure(views, rigs[1], delays_s[1], halves[0])
     together = _Measured(
         residual_px=np.concatenate([m.residual_px for m in measured], axis=1),
         across=np.concatenate([m.across for m in measured]),
         down=np.concatenate([m.down for m in measured]),
     )
     square_m = views.board.square_m
-    a, b = (baselines_m(solution) for solution in solutions)
+    a, b = map(baselines_m, rigs)
     return Halves(
         solutions=solutions,
         errors=(measured[0].summary(square_m), measured[1].summary(square_m)),
         pooled=together.summary(square_m),
-        baseline_rms=float(np.sqrt(np.mean((2 * (a - b) / (a + b)) ** 2))),
+        baseline_rms=disagreement(a, b),
     )
 
 
-def baselines_m(solution: RigSolution) -> Float[np.ndarray, " pair"]:
+def baselines_m(rig: Rig) -> Float[np.ndarray, " pair"]:
     """Give the distances between all pairs of cameras."""
-    centres = inverse(solution.scene.Ts_cam_ref)[:, :3, 3]
+    centres = np.stack([camera.centre_lab_m for camera in rig.cameras])
     i, j = np.triu_indices(len(centres), 1)
     return np.linalg.norm(centres[i] - centres[j], axis=1)
+
+
+def disagreement(one: Float[np.ndarray, " pair"], other: Float[np.ndarray, " pair"]) -> float:
+    """Give the root mean square difference of two sets of lengths, as a share."""
+    return float(np.sqrt(np.mean((2 * (one - other) / (one + other)) ** 2)))
 
 
 def some_frames(views: BoardViews, frames: Int[np.ndarray, " chosen"]) -> BoardViews:
