@@ -83,7 +83,7 @@ def _measure_session(bench: Bench, build_dir: Path) -> None:
     )
     solution = solve_rig(views, optics)
     seconds, cpu_seconds = time.perf_counter() - start_s, time.process_time() - start_cpu_s
-    halves = solve_halves(views, optics, solution)
+    halves = solve_halves(views, solution)
     if halves is None:
         raise GonioError(
             "The session can't be halved.", hint="See gonio.kernel.calibration.held_out.", code="bench-failed"

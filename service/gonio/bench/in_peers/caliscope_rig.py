@@ -58,7 +58,7 @@ def main(given: str, out: str, optics: str, *videos: str) -> None:
 
 def points_of(uv_px: np.ndarray, corners_board_m: np.ndarray, frames: np.ndarray, rate_hz: float) -> ImagePoints:
     """Give some frames' corners as Caliscope has them."""
-    camera, frame, corner = np.nonzero(np.isfinite(uv_px[:, frames, :, 0]))
+    camera, frame, corner = np.nonzero(np.isfinite(uv_px[:, frames])[..., 0])
     pixels = uv_px[camera, frames[frame], corner]
     return ImagePoints(
         pd.DataFrame(

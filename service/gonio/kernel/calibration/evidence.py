@@ -62,7 +62,7 @@ def gather_evidence(
         image_widths_px=tuple(size[0] for size in connected.image_sizes_px),
         intrinsics=optics,
         solution=solution,
-        halves=solve_halves(views, intrinsics, solution),
+        halves=solve_halves(views, solution),
         bumps=find_bumps(views, solution),
         focal_shift=_focal_shift(connected, optics),
         covered=np.stack(

@@ -14,11 +14,10 @@ from jaxtyping import Float, Int
 from gonio.errors import CaptureError, SolverError
 from gonio.kernel.calibration.board_motion import advance
 from gonio.kernel.calibration.board_terms import DELAY
-from gonio.kernel.calibration.pairwise import MIN_COMMON_VIEWS
-from gonio.kernel.calibration.rig import RigSolution, solve_rig
+from gonio.kernel.calibration.rig import RigSolution, solve_part
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
 from gonio.kernel.triangulation.points import triangulate
-from gonio.records import BoardViews, Intrinsics, Rig, record
+from gonio.records import BoardViews, Rig, record
 
 BLOCKS = (6, 8, 10, 14)
 """The recording is cut into so many blocks; more only if a half of it would not hold the cameras together by itself."""
@@ -114,23 +113,21 @@ def _measure(
     return _Measured(solved.residual_px, across, down)
 
 
-def solve_halves(views: BoardViews, intrinsics: Sequence[Intrinsics], solution: RigSolution) -> Halves | None:
+def solve_halves(views: BoardViews, solution: RigSolution) -> Halves | None:
     """Solve both halves of a recording and measure each on the other; None where no half can be solved alone.
 
     Args:
         views: The whole recording.
-        intrinsics: Each camera's optics.
         solution: The solution of the whole: its cameras and frames are those that are compared.
     """
-    optics = [intrinsics[c] for c in solution.cameras]
     chosen = some_cameras(views, solution.cameras)
     for count in BLOCKS:
         halves = split_blocks(solution.frames, count)
         try:
-            first, second = (solve_rig(some_frames(chosen, half), optics) for half in halves)
+            first, second = (solve_part(chosen, solution, half) for half in halves)
         except (CaptureError, SolverError):
             continue
-        if all(len(s.cameras) == len(optics) and _is_held_together(s) for s in (first, second)):
+        if first.adjusted.converged and second.adjusted.converged:
             return _compare(chosen, (first, second), halves)
     return None
 
@@ -139,10 +136,6 @@ def split_blocks(frames: Int[np.ndarray, " frame"], count: int) -> tuple[np.ndar
     """Cut frames into blocks, and give every other one, and the rest."""
     blocks = np.array_split(frames, count)
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
-
-
-def _is_held_together(solution: RigSolution) -> bool:
-    return all(pair.common_views >= MIN_COMMON_VIEWS for pair in solution.pairs)
 
 
 def _compare(
@@ -176,11 +169,6 @@ def baselines_m(rig: Rig) -> Float[np.ndarray, " pair"]:
 def disagreement(one: Float[np.ndarray, " pair"], other: Float[np.ndarray, " pair"]) -> float:
     """Give the root mean square difference of two sets of lengths, as a share."""
     return float(np.sqrt(np.mean((2 * (one - other) / (one + other)) ** 2)))
-
-
-def some_frames(views: BoardViews, frames: Int[np.ndarray, " chosen"]) -> BoardViews:
-    """Give a part of the recording."""
-    return replace(views, times_s=views.times_s[frames], uv_px=views.uv_px[:, frames])
 
 
 def some_cameras(views: BoardViews, cameras: Sequence[int]) -> BoardViews:

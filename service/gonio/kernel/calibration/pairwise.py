@@ -112,11 +112,11 @@ def arrange(
     pairs = {(i, j): pair for i, j in couples if (pair := _relate(sights, i, j)) is not None}
     if method == "chain" and len(pairs) < count - 1:
         broken = next((i, i + 1) for i in range(count - 1) if (i, i + 1) not in pairs)
-        raise _unconnected(f"cameras {cameras[broken[0]].name} and {cameras[broken[1]].name}")
+        raise unconnected(f"cameras {cameras[broken[0]].name} and {cameras[broken[1]].name}")
     Ts_cam_ref, used = _spread_out(sights, pairs, method)
     connected = np.isfinite(Ts_cam_ref[:, 0, 0])
     if connected.sum() < min(2, count):
-        raise _unconnected("any two cameras")
+        raise unconnected("any two cameras")
     return Arrangement(
         Ts_cam_ref=Ts_cam_ref,
         Ts_ref_board=_place_boards(sights, Ts_cam_ref),
@@ -137,7 +137,8 @@ def pose_in_rig(
     return _place_boards(_Sights(cameras, corners_board_m, uv_px, poses), Ts_cam_ref)
 
 
-def _unconnected(who: str) -> CaptureError:
+def unconnected(who: str) -> CaptureError:
+    """Say that cameras can't be put together because they never saw the board at the same time."""
     return CaptureError(
         f"The board was never seen by {who} at the same time.",
         hint="Film the board where the pictures overlap: two neighbouring cameras must see it at once, ten times or more.",

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from gonio.errors import CaptureError
 from gonio.kernel.calibration.board_motion import corner_velocities, distinct_frames
 from gonio.kernel.calibration.board_terms import ASPECT, CX, CY, DELAY, FOCAL, K1, K2, K3, P1, P2
 from gonio.kernel.calibration.boards import SIGMA_PX, Adjusted, Observations, Prior, Scene, adjust, pose_boards
 from gonio.kernel.calibration.intrinsics import FREE, camera_of
-from gonio.kernel.calibration.pairwise import Method, Pair, arrange, pose_in_rig
+from gonio.kernel.calibration.pairwise import MIN_COMMON_VIEWS, Method, Pair, arrange, pose_in_rig, unconnected
+from gonio.kernel.calibration.planar_pose import MIN_CORNERS
 from gonio.kernel.geometry.transforms import inverse
 from gonio.records import BoardViews, Camera, Intrinsics, record
 
@@ -133,6 +135,38 @@ def solve_rig(
         uv_px,
         times_s,
     )
+
+
+def solve_part(views: BoardViews, solution: RigSolution, frames: Int[np.ndarray, " chosen"]) -> RigSolution:
+    """Solve some frames of a solution alone; it only tells where to start.
+
+    Where the start is decides which of the wrong solutions a search could fall into, not what the right one is: a part is
+    too small to find its way from nothing each time.
+
+    Args:
+        views: The recording, of the solution's cameras.
+        solution: The solution of the whole.
+        frames: Some of its frames.
+
+    Raises:
+        CaptureError: ``cameras-unconnected``: these frames alone don't hold the cameras together.
+        SolverError: ``calibration-diverged``.
+    """
+    uv_px = views.uv_px[:, frames]
+    seen = np.isfinite(uv_px[..., 0]).sum(axis=-1) >= MIN_CORNERS
+    common = seen.astype(int) @ seen.T.astype(int)
+    if connected_components(common >= MIN_COMMON_VIEWS, directed=False)[0] > 1:
+        raise unconnected("all cameras, in pairs,")
+    places = np.searchsorted(solution.frames, frames)
+    scene = replace(solution.scene, theta=solution.prior.mean, Ts_ref_board=solution.scene.Ts_ref_board[places])
+    part = replace(
+        solution,
+        frames=frames,
+        adjusted=_unadjusted(scene, uv_px),
+        views=tuple(int(n) for n in seen.sum(axis=1)),
+        timing_sd_s=TIMING_SD_S,
+    )
+    return refine_rig(part, views.board.corners_board_m, uv_px, views.times_s[frames])
 
 
 def refine_rig(
