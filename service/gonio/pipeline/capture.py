@@ -46,10 +46,11 @@ def judge_calibration(calibration: Calibration | None) -> tuple[Finding, ...]:
     """Pass on what a calibration's own verdict said (None: a file of another program, which has none)."""
     if calibration is None or calibration.verdict.level == "accept":
         return ()
-    rejected = calibration.verdict.level == "reject"
-    wanted = "serious" if rejected else "warning"
-    reasons = [found.message for found in calibration.findings if found.severity == wanted]
-    return (finding("calibration-rejected" if rejected else "calibration-doubtful", where=" ".join(reasons)),)
+    wanted = "serious" if calibration.verdict.level == "reject" else "warning"
+    reasons = " ".join(found.message for found in calibration.findings if found.severity == wanted)
+    if wanted == "serious":
+        return (finding("calibration-rejected", where=reasons),)
+    return (finding("calibration-doubtful", where=reasons),)
 
 
 def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:

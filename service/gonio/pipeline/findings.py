@@ -82,13 +82,13 @@ KINDS: dict[str, Kind] = {
     "calibration-rejected": Kind(
         "serious",
         "calibration",
-        "The calibration of these cameras was rejected when it was made. {where}",
+        "The calibration of these cameras was rejected when it was made ({where}).",
         "Calibrate again; until then, trust no angle and no distance.",
     ),
     "calibration-doubtful": Kind(
         "warning",
         "calibration",
-        "The calibration of these cameras was accepted with warnings. {where}",
+        "The calibration of these cameras was accepted with warnings ({where}).",
         "Read the calibration's own page: it says what to film next time.",
     ),
     "scale-unverified": Kind(

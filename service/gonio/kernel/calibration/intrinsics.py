@@ -242,10 +242,11 @@ def camera_of(theta: Float[np.ndarray, "10"], image_size_px: tuple[int, int], na
 
 
 def tilts_deg(T_cam_board: Float[np.ndarray, "frame 4 4"]) -> Float[np.ndarray, " frame"]:
-    """Give the angle between each board's normal and the line of sight to it, in degrees."""
-    sight = T_cam_board[:, :3, 3] / np.linalg.norm(T_cam_board[:, :3, 3], axis=1, keepdims=True)
-    cosine = np.abs(np.einsum("fi,fi->f", sight, T_cam_board[:, :3, 2]))
-    return np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
+    """Give the angle between each board and the image plane, in degrees.
+
+    Not against the line of sight: a board parallel to the picture tells nothing of the focal length wherever it is in it.
+    """
+    return np.rad2deg(np.arccos(np.clip(np.abs(T_cam_board[:, 2, 2]), 0.0, 1.0)))
 
 
 def coverage(uv_px: Float[np.ndarray, "frame corner 2"], image_size_px: tuple[int, int]) -> Bool[np.ndarray, "4 6"]:
