@@ -78,15 +78,16 @@ def _count_markers(grey: Grey, dictionary: str) -> int:
 
 
 def _other_checkerboard(pictures: Sequence[Grey], sizes: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
-    """Find a checkerboard of any size; the detector itself says how large a part of a larger board it saw."""
+    """Find a checkerboard of any size: the largest that a picture shows, for the detector may stop at a part of it."""
+    shown: list[tuple[int, int]] = []
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_LARGER
     for grey in pictures:
         scale = min(1.0, 960 / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
         if found and (meta.shape[1], meta.shape[0]) in {*sizes, *((b, a) for a, b in sizes)}:
-            return meta.shape[1], meta.shape[0]
-    return None
+            shown.append((meta.shape[1], meta.shape[0]))
+    return max(shown, key=lambda size: size[0] * size[1], default=None)
 
 
 def _wrong_card(board: Board, shown: str) -> InputError:

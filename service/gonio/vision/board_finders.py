@@ -4,6 +4,7 @@ A finder is given a grey picture in which the board is seen from the front and, 
 :mod:`gonio.vision.boards` tries the picture's negative and mirror image and turns the result back.
 """
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import cv2
@@ -17,6 +18,9 @@ MIN_CORNERS = 6
 GATE_PX, GATE_SQUARES = 4.0, 0.15
 """A corner may lie this far from the plane through the others, whichever is more: 4 pixels, or what a strong lens bends
 within a board that fills the picture."""
+
+AGREEING = 0.8
+"""This share of the markers in a picture must be the card's, and in their places to a third of a square."""
 
 SEARCH_SIDE_PX = 960
 """A checkerboard is searched for in a picture of at most this size, and its corners are then located in the whole one."""
@@ -89,20 +93,40 @@ class CharucoFinder:
         parameters = cv2.aruco.CharucoParameters()
         # One marker beside a corner is enough: a third more corners. False ones are caught by the gate.
         parameters.minMarkers = 1
-        self._detector = cv2.aruco.CharucoDetector(
-            open_charuco_board(board), parameters, cv2.aruco.DetectorParameters()
-        )
+        made = open_charuco_board(board)
+        self._detector = cv2.aruco.CharucoDetector(made, parameters, cv2.aruco.DetectorParameters())
+        outer = np.array([board.square_m, board.square_m])  # from OpenCV's origin to ours
+        self._markers = {
+            int(number): np.asarray(corners)[:, :2].mean(axis=0) - outer
+            for number, corners in zip(np.asarray(made.getIds()).ravel(), made.getObjPoints(), strict=True)
+        }
 
     def find(
         self, grey: UInt8[np.ndarray, "height width"], *, thorough: bool = False
     ) -> Float[np.ndarray, "corner 2"] | None:
         """Look for the board; ``thorough`` changes nothing here."""
-        corners, ids, _, _ = self._detector.detectBoard(grey)
+        corners, ids, markers, marker_ids = self._detector.detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:  # pyright: ignore[reportUnnecessaryComparison] - None without any
             return None
         uv_px = np.full((self._board.corner_count, 2), np.nan)
         uv_px[np.asarray(ids, dtype=int).ravel()] = np.asarray(corners).reshape(-1, 2)
-        return gate(uv_px, self._board)
+        gated = gate(uv_px, self._board)
+        return gated if gated is not None and self._markers_agree(gated, markers, marker_ids) else None
+
+    def _markers_agree(
+        self, uv_px: Float[np.ndarray, "corner 2"], markers: Sequence[np.ndarray], marker_ids: np.ndarray
+    ) -> bool:
+        """Say whether most markers are where the corners have them: a wrong card fits a few squares by accident."""
+        seen = np.isfinite(uv_px[:, 0])
+        H, _ = cv2.findHomography(self._board.corners_board_m[seen, :2], uv_px[seen])
+        pairs = zip(np.ravel(marker_ids).tolist(), markers, strict=True)
+        known = [(self._markers[number], marker) for number, marker in pairs if number in self._markers]
+        if not known:
+            return False
+        there = cv2.perspectiveTransform(np.array([[place] for place, _ in known]), H)[:, 0]
+        here = np.array([np.asarray(marker).reshape(4, 2).mean(axis=0) for _, marker in known])
+        near = np.linalg.norm(there - here, axis=1) < square_size_px(uv_px, self._board) / 3
+        return bool(near.sum() >= AGREEING * len(np.ravel(marker_ids)))
 
 
 class CheckerboardFinder:
