@@ -40,7 +40,7 @@ GOOD: dict[str, Filming] = {
     "paper": Filming(),
     "two_cameras": Filming(cameras=2, radius_m=2.5, poses=400, rate_hz=10.0, board=CHECKERS),
     "three_cameras": Filming(cameras=3, radius_m=2.5, poses=400, rate_hz=10.0, board=SMALL),
-    "six_cameras": Filming(cameras=6, radius_m=3.0, poses=600, rate_hz=15.0),
+    "six_cameras": Filming(cameras=6, radius_m=3.0, poses=400, rate_hz=12.0),
 }
 SEEDS = (1201, 1202)
 

@@ -25,8 +25,9 @@ STILLS_PERIOD_S = 10.0
 """Photographs were taken at rest, so far apart that nothing is concluded about the motion between them."""
 
 SAMPLE_PICTURES = 6
-FEW_FOUND = 3
-"""A wrong card shares a few markers with the board, and is found by accident: below this, the pictures are asked again."""
+FEW_FOUND, FEW_SHARE = 3, 0.05
+"""A wrong card shares some markers with the board, and is found by accident: in less than so many pictures, or less than
+this share of them, the pictures are asked what they show."""
 
 MAX_CAMERAS = 16
 
@@ -211,7 +212,7 @@ def _find(
 
     tracks = find_boards(pictures, board, thorough=thorough, on_progress=share)
     found = sum(int((track.corner_counts > 0).sum()) for track in tracks)
-    if found >= FEW_FOUND:
+    if found >= max(FEW_FOUND, FEW_SHARE * sum(len(track.frame_numbers) for track in tracks)):
         return tracks, ()
     sample = [picture for source in pictures.values() for picture in _spread(source, SAMPLE_PICTURES)]
     if not shows_other_layout(sample, board):

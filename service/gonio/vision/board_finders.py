@@ -20,7 +20,7 @@ GATE_PX, GATE_SQUARES = 4.0, 0.15
 within a board that fills the picture."""
 
 AGREEING = 0.8
-"""This share of the markers in a picture must be the card's, and in their places to a third of a square."""
+"""This share of the markers in a picture must be the card's, and in their places within their square."""
 
 SEARCH_SIDE_PX = 960
 """A checkerboard is searched for in a picture of at most this size, and its corners are then located in the whole one."""
@@ -94,7 +94,11 @@ class CharucoFinder:
         # One marker beside a corner is enough: a third more corners. False ones are caught by the gate.
         parameters.minMarkers = 1
         made = open_charuco_board(board)
-        self._detector = cv2.aruco.CharucoDetector(made, parameters, cv2.aruco.DetectorParameters())
+        self._exact = cv2.aruco.CharucoDetector(made, parameters, cv2.aruco.DetectorParameters())
+        # Two of the three window sizes of the threshold: nearly as many boards in half the time.
+        quick = cv2.aruco.DetectorParameters()
+        quick.adaptiveThreshWinSizeStep = quick.adaptiveThreshWinSizeMax - quick.adaptiveThreshWinSizeMin
+        self._quick = cv2.aruco.CharucoDetector(made, parameters, quick)
         outer = np.array([board.square_m, board.square_m])  # from OpenCV's origin to ours
         self._markers = {
             int(number): np.asarray(corners)[:, :2].mean(axis=0) - outer
@@ -104,8 +108,18 @@ class CharucoFinder:
     def find(
         self, grey: UInt8[np.ndarray, "height width"], *, thorough: bool = False
     ) -> Float[np.ndarray, "corner 2"] | None:
-        """Look for the board; ``thorough`` changes nothing here."""
-        corners, ids, markers, marker_ids = self._detector.detectBoard(grey)
+        """Look for the board; ``thorough`` also tries the slower search where the quick one finds nothing."""
+        found = self._look(self._quick, grey)
+        if (found is None and not thorough) or (found is not None and np.isfinite(found).all()):
+            return found
+        more = self._look(self._exact, grey)
+        better = found is None or (more is not None and np.isfinite(more).sum() > np.isfinite(found).sum())
+        return more if better else found
+
+    def _look(
+        self, detector: cv2.aruco.CharucoDetector, grey: UInt8[np.ndarray, "height width"]
+    ) -> Float[np.ndarray, "corner 2"] | None:
+        corners, ids, markers, marker_ids = detector.detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:  # pyright: ignore[reportUnnecessaryComparison] - None without any
             return None
         uv_px = np.full((self._board.corner_count, 2), np.nan)
@@ -125,7 +139,7 @@ class CharucoFinder:
             return False
         there = cv2.perspectiveTransform(np.array([[place] for place, _ in known]), H)[:, 0]
         here = np.array([np.asarray(marker).reshape(4, 2).mean(axis=0) for _, marker in known])
-        near = np.linalg.norm(there - here, axis=1) < square_size_px(uv_px, self._board) / 3
+        near = np.linalg.norm(there - here, axis=1) < square_size_px(uv_px, self._board) / 1.5
         return bool(near.sum() >= AGREEING * len(np.ravel(marker_ids)))
 
 

@@ -21,8 +21,9 @@ from gonio.vision.board_finders import BoardFinder, open_finder, square_size_px
 from gonio.vision.sessions import available_cores
 from gonio.vision.video import iterate_frames
 
-SAMPLE_STRIDES = (16, 4, 1)
-"""Every so many pictures are tried in all ways, ever more of them, until the board's way is known."""
+SAMPLES = ((16, (False,)), (4, (False,)), (4, (False, True)), (1, (False, True)))
+"""Every so many pictures are tried in both polarities, ever more of them, until the board's is known; as their own mirror
+image only when every other hope is gone, for few film a board through its paper."""
 
 ENOUGH_VOTES = 3
 PROGRESS_EVERY_S = 0.2
@@ -122,8 +123,8 @@ def _find_polarity(searches: Sequence["_Search"], board: Board, pool: ThreadPool
     """Find out whether the board is white on black: try ever more pictures of all cameras until enough of them say so."""
     if board.kind == "checkerboard":
         return False  # its finder sees both alike
-    for stride in SAMPLE_STRIDES:
-        list(pool.map(lambda search, stride=stride: search.sample(stride), searches))
+    for stride, sides in SAMPLES:
+        list(pool.map(lambda search, stride=stride, sides=sides: search.sample(stride, sides), searches))
         votes = [found.look.inverted for search in searches for found in search.found.values()]
         if len(votes) >= ENOUGH_VOTES:
             return sum(votes) > len(votes) / 2
@@ -143,18 +144,20 @@ class _Search:
         self._finder: BoardFinder = open_finder(board)
         self._size_px: tuple[int, int] | None = None
         self._numbers: list[int] = []
-        self._tried: set[int] = set()
+        self._tried: set[int] = set()  # in every way: there is no more to try
+        self._glanced: set[int] = set()  # from the front, in both polarities
         self.found: dict[int, _Found] = {}
 
-    def sample(self, stride: int) -> None:
-        """Try every ``stride``-th picture in all ways, until the board was found often enough."""
+    def sample(self, stride: int, sides: Sequence[bool]) -> None:
+        """Try every ``stride``-th picture in both polarities, until the board was found often enough."""
         polarities = (self._board.inverted, not self._board.inverted)
-        looks = [Look(inverted, mirrored) for mirrored in (False, True) for inverted in polarities]
+        looks = [Look(inverted, mirrored) for mirrored in sides for inverted in polarities]
         for order, (number, grey) in enumerate(self._pictures()):
             if len(self.found) >= ENOUGH_VOTES:
                 return
-            if order % stride == 0 and number not in self._tried:
-                self._tried.add(number)
+            seen_so = number in self.found or number in self._tried or (number in self._glanced and True not in sides)
+            if order % stride == 0 and not seen_so:
+                (self._tried if True in sides else self._glanced).add(number)
                 self._try(number, grey, looks)
 
     def run(self, inverted: bool) -> None:
@@ -163,6 +166,7 @@ class _Search:
         self.found = {number: found for number, found in self.found.items() if found.look.inverted == inverted}
         sides = {found.look.mirrored for found in self.found.values()} if has_back else {False}
         misses, found_before = 0, False
+        missed: tuple[int, Grey] | None = None  # the picture before, if it was searched in haste and in vain
         for number, grey in self._pictures():
             if self._stop.is_set():
                 return
@@ -171,10 +175,15 @@ class _Search:
             if number not in self.found and number not in self._tried:
                 misses += 1
                 probing = misses % PROBE_EVERY == 0
+                known = number in self._glanced and sides == {False}
                 tried = {False, True} if has_back and (probing or not sides) else sides
-                thorough = self._thorough or probing or found_before
-                self._try(number, grey, [Look(inverted, side) for side in sorted(tried)], thorough=thorough)
+                thorough = self._thorough or found_before or (probing and not has_back)
+                if thorough or probing or not known:
+                    self._try(number, grey, [Look(inverted, side) for side in sorted(tried)], thorough=thorough)
+                if missed is not None and number in self.found:
+                    self._try(*missed, [self.found[number].look], thorough=True)
             found_before = number in self.found
+            missed = None if found_before or number in self._tried else (number, grey)
             if found_before:
                 sides.add(self.found[number].look.mirrored)
             self.done += 1
