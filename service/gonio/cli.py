@@ -78,6 +78,9 @@ def worker() -> None:
 @app.command()
 def analyse(
     folder: Annotated[Path, typer.Argument(help="Holds the videos and the calibration, also in subfolders.")],
+    calibration: Annotated[
+        Path | None, typer.Option(help="The cameras' calibration, in place of one in FOLDER (Calib.qca.txt).")
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="Where the report goes. [default: FOLDER/gonio]")] = None,
     parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
 ) -> None:
@@ -85,10 +88,13 @@ def analyse(
     from gonio.pipeline import analyse
     from gonio.pipeline.folder import find_capture_files
     from gonio.pipeline.report import key_lines, load_report
-    from gonio.pipeline.run import LocalRunner
+    from gonio.pipeline.run import CaptureFile, LocalRunner
 
     wanted = _read_parameters(parameters) if parameters else {}
     files = find_capture_files(folder)
+    if calibration is not None:
+        files = [file for file in files if file.role != "calibration"]
+        files.append(CaptureFile(path=calibration, name=calibration.name, role="calibration"))
     with progress_bar(console) as advance:
         runner = LocalRunner(advance)
         report = analyse(files, wanted, runner, output or folder / "gonio")
@@ -105,6 +111,9 @@ def calibrate(
         str, typer.Option(help="One of gonio's boards, or a card's file. [default: a card in FOLDER]")
     ] = "",
     optics: Annotated[Path | None, typer.Option(help="A calibration whose lenses are still right.")] = None,
+    check: Annotated[
+        Path | None, typer.Option(help="gonio's earlier calibration of these cameras: has one of them moved?")
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="Where the calibration goes. [default: FOLDER/gonio]")] = None,
     parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
 ) -> None:
@@ -120,6 +129,8 @@ def calibrate(
     if optics is not None:
         files = [file for file in files if file.role != "optics"]
         files.append(CaptureFile(path=optics, name=optics.name, role="optics"))
+    if check is not None:
+        files.append(CaptureFile(path=check, name=check.name, role="previous"))
     if board.endswith(".toml"):
         files = [file for file in files if file.role != "board"]
         files.append(CaptureFile(path=Path(board), name=board, role="board"))
