@@ -1,9 +1,9 @@
-"""The command line: gonio serve | worker | analyse | scale | ik | demo | models | bench | doctor."""
+"""The command line: gonio serve | worker | analyse | scale | ik | id | demo | models | bench | doctor."""
 
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 from rich.console import Console
@@ -123,11 +123,14 @@ def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an Inverse
 @app.command("id")
 def inverse_dynamics(
     setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an InverseDynamicsTool, unchanged.")],
+    conventions: Annotated[
+        Literal["opensim", "gonio"], typer.Option(help="OpenSim's filter and couplers to the digit, or gonio's own.")
+    ] = "opensim",
 ) -> None:
     """Find joint torques from a motion and external forces as OpenSim's InverseDynamicsTool does."""
     from gonio.pipeline.opensim_dynamics import run_dynamics
 
-    _tell(run_dynamics(setup)[2])
+    _tell(run_dynamics(setup, conventions)[2])
 
 
 def _tell(result: "ToolResult") -> None:

@@ -24,9 +24,18 @@ class Table:
     in_degrees: bool
 
     def of(self, label: str) -> Float[np.ndarray, " row"]:
-        """Give one column by its label."""
+        """Give one column by its label.
+
+        Raises:
+            InputError: there is no such column, or more than one.
+        """
         if label not in self.labels:
             raise InputError(f"{self.name} has no column {label}.", hint=f"It has: {', '.join(self.labels)}.")
+        if self.labels.count(label) > 1:
+            raise InputError(
+                f"{self.name} has {self.labels.count(label)} columns {label}.",
+                hint="Give each column a name of its own.",
+            )
         return self.values[:, self.labels.index(label)]
 
 

@@ -4,6 +4,7 @@ Document versions 10901 to 40600 (OpenSim 1.x to 4.6) are read: bodies, joints, 
 geometry, contact and controllers don't take part in kinematics or in inverse dynamics and stay in the file.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -266,6 +267,28 @@ def _refuse_circular_couplers(coupled_to: np.ndarray, names: list[str]) -> None:
             step, steps = coupled_to[step], steps + 1
             if steps > len(names):
                 raise InputError(f"The coupler of {names[start]} leads back to itself.", hint="Break the circle.")
+
+
+@dataclass(frozen=True)
+class ModelForce:
+    """A force that a model's file makes act on it: a muscle, a spring, a contact; ``kind`` is OpenSim's class."""
+
+    kind: str
+    name: str
+
+
+def read_osim_forces(path: Path) -> tuple[ModelForce, ...]:
+    """List the forces in a model's file that are switched on; gonio computes none of them.
+
+    Raises:
+        InputError: the file can't be read.
+    """
+    model, _ = open_document(path, "Model")
+    return tuple(
+        ModelForce(element.tag, name_of(element))
+        for element in objects(model, "ForceSet")
+        if flag(element, "appliesForce", default=True) and not flag(element, "isDisabled", default=False)
+    )
 
 
 def read_osim_markers(path: Path, model: BodyModel) -> Markers:

@@ -121,14 +121,20 @@ class PlacementSetup:
 
 @dataclass(frozen=True)
 class DynamicsSetup:
-    """An InverseDynamicsTool; ``cutoff_hz`` is None where nothing is filtered."""
+    """An InverseDynamicsTool; ``cutoff_hz`` is None where nothing is filtered.
+
+    ``excluded_forces`` are the names that the setup takes out of the model, ``reported_joints`` those whose reactions it
+    wants too.
+    """
 
     model_file: Path
     coordinates_file: Path
     loads_file: Path | None
     time_range_s: tuple[float, float]
     cutoff_hz: float | None
-    output_file: Path | None
+    excluded_forces: tuple[str, ...]
+    reported_joints: tuple[str, ...]
+    output_file: Path
 
 
 @dataclass(frozen=True)
@@ -211,8 +217,17 @@ def read_dynamics_setup(path: Path) -> DynamicsSetup:
         loads_file=_optional(tool, "external_loads_file", path),
         time_range_s=_time_range(tool),
         cutoff_hz=cutoff_hz if cutoff_hz > 0 else None,
-        output_file=_optional(tool, "output_gen_force_file", path),
+        excluded_forces=tuple(words(tool, "forces_to_exclude")),
+        reported_joints=tuple(words(tool, "joints_to_report_body_forces")),
+        output_file=_result_file(tool, path),
     )
+
+
+def _result_file(tool: Element, setup: Path) -> Path:
+    """Give where OpenSim writes: into the results' folder, whatever folder the file's name has, as .sto unless it says."""
+    name = Path(_unless_unassigned(tool, "output_gen_force_file") or "inverse_dynamics.sto").name
+    folder = setup.parent / _unless_unassigned(tool, "results_directory")
+    return folder / (name if Path(name).suffix else f"{name}.sto")
 
 
 def read_external_loads(path: Path) -> ExternalLoads:
@@ -235,13 +250,19 @@ def read_external_loads(path: Path) -> ExternalLoads:
         forces.append(
             ExternalForce(
                 name_of(element),
-                text(element, "applied_to_body"),
-                text(element, "force_expressed_in_body", "ground"),
-                text(element, "point_expressed_in_body", "ground"),
+                *(
+                    _body_of(element, f"{what}_body")
+                    for what in ("applied_to", "force_expressed_in", "point_expressed_in")
+                ),
                 *identifiers,
             )
         )
     return ExternalLoads(data_file=_required(loads, "datafile", path), forces=tuple(forces))
+
+
+def _body_of(element: Element, tag: str) -> str:
+    """Read a body's name, or the last part of its path (``/bodyset/calcn_r``); the ground where there is none."""
+    return text(element, tag, "ground").rsplit("/", 1)[-1]
 
 
 def write_scale_set(path: Path, bodies: tuple[str, ...], factors: Float[np.ndarray, "body 3"]) -> None:

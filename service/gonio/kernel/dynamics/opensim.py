@@ -36,6 +36,8 @@ def differentiate(
 ) -> SmoothMotion:
     """Filter and differentiate a motion, all of it, and give the part in the time range.
 
+    Accelerations are distorted where a filter begins and ends: give more of the motion than the time range.
+
     Args:
         times_s: Ascending.
         q: rad and m, without NaN.
@@ -43,7 +45,7 @@ def differentiate(
         time_range_s: As the tool has it: from the last sample at or before its start to the last at or before its end.
 
     Raises:
-        InputError: fewer than six samples, or NaN, or a cutoff above half the rate.
+        InputError: fewer than six samples, or NaN, or a cutoff above half the rate (``cutoff-impossible``).
     """
     if len(times_s) < 6 or np.any(np.diff(times_s) <= 0):
         raise InputError(
@@ -70,7 +72,13 @@ def differentiate(
 def low_pass(
     times_s: Float[np.ndarray, " frame"], values: Float[np.ndarray, "frame column"], cutoff_hz: float
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time column"]]:
-    """Pad by half the length at both ends, resample to the smallest step if the steps differ, and filter both ways."""
+    """Pad by half the length at both ends, resample to the smallest step if the steps differ, and filter both ways.
+
+    Without NaN. The result is longer than what was given: it keeps the padding.
+
+    Raises:
+        InputError: a cutoff above half the rate (``cutoff-impossible``).
+    """
     times_s, values = _pad(times_s, values, len(times_s) // 2)
     step_s = float(np.diff(times_s).min())
     if (times_s[-1] - times_s[0]) / (len(times_s) - 1) - step_s > _UNIFORM_S:
@@ -80,6 +88,7 @@ def low_pass(
         raise InputError(
             f"A cutoff of {cutoff_hz} Hz is impossible at {1 / step_s:.1f} samples a second.",
             hint="Give a lower one, or a motion of a higher rate.",
+            code="cutoff-impossible",
         )
     return times_s, _both_ways(values, *_third_order_butterworth(cutoff_hz * step_s))
 
@@ -96,11 +105,22 @@ def interpolate_forces(
 ) -> Float[np.ndarray, "frame column"]:
     """Interpolate forces by natural cubic splines.
 
+    Args:
+        times_s: Ascending.
+        values: Forces, points and moments, N, m and Nm, without NaN.
+        at_s: The motion's times; they may lie beyond the forces' by a sample and a half.
+
     Raises:
-        InputError: the forces begin after the motion or end before it.
+        InputError: the forces begin after the motion or end before it, or hold a NaN.
     """
+    known = np.isfinite(values).all(axis=1)
+    if not known.all():
+        raise InputError(
+            f"The forces have a gap at {times_s[np.argmin(known)]:.3f} s.",
+            hint="Write 0 where nothing pushes, and fill what was lost.",
+        )
     margin_s = 1.5 * float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    if at_s[0] < times_s[0] - margin_s or at_s[-1] > times_s[-1] + margin_s:
+    if len(times_s) < 2 or at_s[0] < times_s[0] - margin_s or at_s[-1] > times_s[-1] + margin_s:
         raise InputError(
             f"The forces cover {times_s[0]:.3f} to {times_s[-1]:.3f} s, the motion {at_s[0]:.3f} to {at_s[-1]:.3f} s.",
             hint="Give forces for the whole time range, or a shorter range.",

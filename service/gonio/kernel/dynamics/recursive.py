@@ -21,7 +21,7 @@ from gonio.kernel.body.tree import COORDINATE_POSE, NODE_POSE, Array, Tree, coup
 from gonio.kernel.parallel import over_blocks
 from gonio.records import REVOLUTE, BodyModel, record
 
-_BLOCK = 64  # frames that one thread takes at a time
+_BLOCK = 256  # frames that one thread takes at a time: handing a block over costs as much as ten frames
 
 NODE_MOTION = np.dtype(
     [
@@ -37,6 +37,19 @@ NODE_MOTION = np.dtype(
 BODY = np.dtype(
     [("node", "i8"), ("mass", "f8"), ("com_node", "f8", 3), ("inertia_node", "f8", (3, 3))], align=True
 )  # in the node's frame; inertia about the centre of mass
+
+
+WHOLE = np.dtype(
+    [
+        ("com", "f8", 3),
+        ("momentum", "f8", 3),
+        ("angular", "f8", 3),  # momentum of rotation about the centre of mass
+        ("force", "f8", 3),  # needed from outside, gravity apart
+        ("moment", "f8", 3),  # the same about the lab's origin
+        ("energy", "f8"),
+    ],
+    align=True,
+)
 
 
 class Inertia(NamedTuple):
@@ -60,26 +73,45 @@ class Wrench:
 
 @record
 class Dynamics:
-    """The forces behind a motion, and the whole body's momentum.
+    """The forces behind a motion, and the whole body's momentum; vectors are in the lab.
 
-    ``forces`` are the generalized forces of the coordinates (N for slides, Nm for turns; 0 for dependent and locked ones):
-    of the joints, and for the root's coordinates the residual that nothing provides. ``powers_w`` are those forces times the
-    coordinates' rates: what each joint gives (+) or takes. ``net_force_n`` and ``net_moment_nm``
-    (about the lab's origin) are what the motion needs from outside in all, gravity apart; ``energy_j`` is kinetic plus
-    potential.
+    ``forces`` are the generalized forces of the coordinates (N for slides, Nm for turns): of the joints, and for the root's
+    coordinates the residual that nothing provides. A locked coordinate has the force that its lock exerts; a dependent one
+    has 0, its share is in the coordinate that drives it. ``powers_w`` are those forces times the coordinates' rates: what
+    each joint gives (+) or takes.
+
+    ``momentum_ns`` is the whole body's linear momentum, ``angular_momentum_nms`` that of rotation about its centre of mass.
+    ``net_force_n`` and ``net_moment_nm`` (about the lab's origin) are what the motion needs from outside in all, gravity
+    apart: the rate of the momentum is the net force plus the weight, the rate of the angular momentum is
+    ``net_moment_com_nm``. ``energy_j`` is kinetic plus potential (0 where the centre of mass is level with the origin).
     """
 
     coordinate_names: tuple[str, ...]
     forces: Float[np.ndarray, "frame coordinate"]
     powers_w: Float[np.ndarray, "frame coordinate"]
     com_lab_m: Float[np.ndarray, "frame 3"]
+    momentum_ns: Float[np.ndarray, "frame 3"]
+    angular_momentum_nms: Float[np.ndarray, "frame 3"]
     net_force_n: Float[np.ndarray, "frame 3"]
     net_moment_nm: Float[np.ndarray, "frame 3"]
     energy_j: Float[np.ndarray, " frame"]
 
     def of(self, name: str) -> Float[np.ndarray, " frame"]:
-        """Give one coordinate's generalized force over time."""
+        """Give one coordinate's generalized force over time.
+
+        Raises:
+            InputError: there is no such coordinate.
+        """
+        if name not in self.coordinate_names:
+            raise InputError(
+                f"There is no coordinate named {name}.", hint=f"The model has: {', '.join(self.coordinate_names)}."
+            )
         return self.forces[:, self.coordinate_names.index(name)]
+
+    @property
+    def net_moment_com_nm(self) -> Float[np.ndarray, "frame 3"]:
+        """What the motion needs from outside about the body's centre of mass: the rate of its angular momentum."""
+        return self.net_moment_nm - np.cross(self.com_lab_m, self.net_force_n)
 
 
 def wrench_at_point(
@@ -109,11 +141,18 @@ def solve_dynamics(
         wrenches: What pushes from outside.
 
     Returns:
-        The forces; a frame with a NaN that matters is NaN.
+        The forces; what a NaN of the frame takes part in is NaN.
 
     Raises:
-        InputError: a wrench on a body that the model lacks, or of another length than the motion.
+        InputError: a wrench on a body that the model lacks, or of another length than the motion; a motion that does not have
+            one column for each coordinate.
     """
+    if not q.shape == velocity.shape == acceleration.shape or q.shape[1:] != (len(model.coordinates.names),):
+        raise InputError(
+            f"The model has {len(model.coordinates.names)} coordinates, the motion has the shapes {q.shape}, "
+            f"{velocity.shape} and {acceleration.shape}.",
+            hint="Give positions, rates and accelerations of the same frames, one column for each coordinate.",
+        )
     frames = len(q)
     pushed = np.zeros((frames, len(model.bodies.names), 6))
     for wrench in wrenches:
@@ -124,22 +163,23 @@ def solve_dynamics(
             )
         pushed[:, model.bodies.index(wrench.body)] += np.nan_to_num(np.hstack([wrench.force_n, wrench.moment_nm]))
     tree, inertia = flatten(model), _inertia(model)
-    forces, com, net = np.zeros(q.shape), np.empty((frames, 3)), np.empty((frames, 6))
-    energy = np.empty(frames)
+    forces, whole = np.zeros(q.shape), np.zeros(frames, dtype=WHOLE)
     values, rates, rates2 = (np.array(a, dtype=float, order="C") for a in (q, velocity, acceleration))
 
     def solve(start: int, stop: int) -> None:
-        _solve_frames(tree, inertia, start, stop, values, rates, rates2, pushed, forces, com, net, energy)
+        _solve_frames(tree, inertia, start, stop, values, rates, rates2, pushed, forces, whole)
 
     over_blocks(solve, frames, _BLOCK)
     return Dynamics(
         coordinate_names=model.coordinates.names,
         forces=forces,
         powers_w=forces * rates,
-        com_lab_m=com,
-        net_force_n=net[:, :3],
-        net_moment_nm=net[:, 3:],
-        energy_j=energy,
+        com_lab_m=whole["com"],
+        momentum_ns=whole["momentum"],
+        angular_momentum_nms=whole["angular"],
+        net_force_n=whole["force"],
+        net_moment_nm=whole["moment"],
+        energy_j=whole["energy"],
     )
 
 
@@ -162,27 +202,25 @@ def _solve_frames(  # noqa: PLR0913 - what it fills is passed in
     velocity: Array,
     acceleration: Array,
     pushed: Array,  # (frame, body, 6): force, moment about the lab's origin
-    forces: Array,
-    com: Array,
-    net: Array,
-    energy: Array,
+    forces: Array,  # (frame, coordinate)
+    whole: Array,  # (frame,) WHOLE, zeros
 ) -> None:
     coordinates = np.zeros(len(tree.couplings), dtype=COORDINATE_POSE)
     nodes = np.zeros(len(tree.nodes), dtype=NODE_POSE)
     motion = np.zeros(len(tree.nodes), dtype=NODE_MOTION)
-    work = np.empty((5, 3))  # scratch: an array made anew for each body would cost as much as its mechanics
+    work = np.empty((7, 3))  # scratch: an array made anew for each body would cost as much as its mechanics
     for frame in range(start, stop):
         couple_coordinates(tree, q[frame], coordinates)
         pose_nodes(tree, q[frame], coordinates, nodes)
         _move_outwards(tree, nodes, velocity[frame], acceleration[frame], motion, work)
-        energy[frame] = _load_bodies(inertia, nodes, motion, pushed[frame], com[frame], net[frame], work)
+        _load_bodies(inertia, nodes, motion, pushed[frame], whole[frame], work)
         _gather_inwards(tree, nodes, motion, forces[frame])
 
 
 @njit(cache=True, error_model="numpy")
 def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Array, motion: Array, work: Array) -> None:
     """Fill the nodes' velocities and accelerations, and clear their forces."""
-    arm, turned = work[3], work[4]
+    arm, turned = work[0], work[1]
     for index in range(len(tree.nodes)):
         given, node, here = tree.nodes[index], nodes[index], motion[index]
         rate = rate2 = 0.0
@@ -217,71 +255,73 @@ def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Arra
 
 
 @njit(cache=True, error_model="numpy")
-def _load_bodies(
-    inertia: Inertia, nodes: Array, motion: Array, pushed: Array, com: Array, net: Array, work: Array
-) -> float:
-    """Give each node the force that its bodies need, less what pushes them; fill the whole body's; give the energy."""
-    place, force, moment = work[0], work[1], work[2]
-    com[:] = 0.0
-    net[:] = 0.0
-    mass = energy = 0.0
+def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, whole: Array, work: Array) -> None:
+    """Give each node the force that its bodies need, less what pushes them, and sum up the whole body."""
+    place, carried, force, spin, moment = work[0], work[1], work[2], work[3], work[4]
+    mass = 0.0
     for index in range(len(inertia.bodies)):
         body = inertia.bodies[index]
         node, here = nodes[body.node], motion[body.node]
-        energy += _need_force(body, node, here, inertia.gravity, place, force, work)
-        energy += _need_moment(body, node, here, moment, work)
+        whole.energy += _need_force(body, node, here, inertia.gravity, place, carried, force, work)
+        whole.energy += _need_moment(body, node, here, spin, moment, work)
         mass += body.mass
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             about_lab = moment[i] + place[j] * force[k] - place[k] * force[j]
-            com[i] += body.mass * place[i]
-            net[i] += force[i]
-            net[3 + i] += about_lab
+            whole.com[i] += body.mass * place[i]
+            whole.momentum[i] += carried[i]
+            whole.angular[i] += spin[i] + place[j] * carried[k] - place[k] * carried[j]
+            whole.force[i] += force[i]
+            whole.moment[i] += about_lab
             here.force[i] += force[i] - pushed[index, i]
             here.moment[i] += about_lab - pushed[index, 3 + i]
     for i in range(3):
-        com[i] /= mass
-    return energy
+        whole.com[i] /= mass
+    _cross(whole.com, whole.momentum, spin)
+    for i in range(3):  # from the lab's origin to the centre of mass
+        whole.angular[i] -= spin[i]
 
 
 @njit(cache=True, error_model="numpy")
 def _need_force(
-    body: Array, node: Array, here: Array, gravity: Array, place: Array, force: Array, work: Array
+    body: Array, node: Array, here: Array, gravity: Array, place: Array, carried: Array, force: Array, work: Array
 ) -> float:
-    """Fill a body's centre of mass and the force it needs, m (a − g); give its energy, rotation apart."""
-    arm, turned = work[3], work[4]
+    """Fill a body's centre of mass, its momentum and the force it needs, m (a − g); give its energy, rotation apart."""
+    arm, turned = work[5], work[6]
     _turn(node.R_lab_node, body.com_node, arm)
     _cross(here.omega, arm, turned)
     energy = 0.0
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         place[i] = node.p_lab_node[i] + arm[i]
+        velocity = here.velocity[i] + turned[i]
         acceleration = here.acceleration[i] + here.alpha[j] * arm[k] - here.alpha[k] * arm[j]
         acceleration += here.omega[j] * turned[k] - here.omega[k] * turned[j]
+        carried[i] = body.mass * velocity
         force[i] = body.mass * (acceleration - gravity[i])
-        energy += body.mass * (0.5 * (here.velocity[i] + turned[i]) ** 2 - gravity[i] * place[i])
+        energy += body.mass * (0.5 * velocity**2 - gravity[i] * place[i])
     return energy
 
 
 @njit(cache=True, error_model="numpy")
-def _need_moment(body: Array, node: Array, here: Array, moment: Array, work: Array) -> float:
-    """Fill the moment about its centre of mass that a body needs; give its energy of rotation.
+def _need_moment(body: Array, node: Array, here: Array, spin: Array, moment: Array, work: Array) -> float:
+    """Fill a body's momentum of rotation and the moment that it needs, about its centre of mass; give its energy of rotation.
 
-    By Euler's equation in the node's frame, where the inertia stays the same.
+    By Euler's equation, I α + ω × I ω: the products with I in the node's frame, where the inertia stays the same.
     """
-    own, spin = work[3], work[4]
+    own, turned = work[5], work[6]
     _turn_back(node.R_lab_node, here.omega, own)
-    _turn(body.inertia_node, own, spin)
+    _turn(body.inertia_node, own, turned)
+    _turn(node.R_lab_node, turned, spin)
     energy = 0.0
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        energy += 0.5 * own[i] * spin[i]
-        moment[i] = own[j] * spin[k] - own[k] * spin[j]
+        energy += 0.5 * own[i] * turned[i]
     _turn_back(node.R_lab_node, here.alpha, own)
-    _turn(body.inertia_node, own, spin)
-    for i in range(3):
-        spin[i] += moment[i]
-    _turn(node.R_lab_node, spin, moment)
+    _turn(body.inertia_node, own, turned)
+    _turn(node.R_lab_node, turned, moment)
+    for i in range(3):  # ω × I ω is the same vector in either frame
+        j, k = (i + 1) % 3, (i + 2) % 3
+        moment[i] += here.omega[j] * spin[k] - here.omega[k] * spin[j]
     return energy
 
 

@@ -64,8 +64,8 @@ LIMB_SCALE, TRUNK_SCALE, MIRROR_SCALE = 0.05, 0.01, 0.01
 """A segment's length against the measured one; pelvis and trunk, whose size so few keypoints can't tell; left against right."""
 
 LIMB_OFFSET_M, LOOSE_OFFSET_M, TRUNK_OFFSET_M, MIRROR_OFFSET_M = 0.015, 0.025, 0.006, 0.006
-"""A keypoint's place in its segment, against the marker set's: detectors differ, most of all at head and arms; the trunk's are held (see
-TRUNK_SCALE)."""
+"""A keypoint's place in its segment, against the marker set's: detectors differ, most of all at head and arms; the trunk's
+are held (see TRUNK_SCALE)."""
 
 BIAS_M = 0.008
 """A camera's constant error for a keypoint, at the subject: the detector's habit from that side, and the calibration's rest."""

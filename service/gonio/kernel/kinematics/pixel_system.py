@@ -254,11 +254,15 @@ def _in_blocks(values: Float[np.ndarray, "frame free"]) -> Float[np.ndarray, "bl
 def _factorise(
     trial: Trial, equations: Equations, data_share: float, damping: float, *, shared: bool
 ) -> Factor | BorderedFactor:
-    """Assemble the blocks and factorise them. The damping is relative to the Gauss-Newton diagonal of data and priors."""
+    """Assemble the blocks and factorise them.
+
+    The damping is relative to the diagonal without the jerk prior's: that one is large in every frame but says nothing of
+    slow movements, and a damping that knew it would hold those back.
+    """
     frames, size = equations.prior_gradient.shape
     own = data_share * equations.data.hessian
     index = np.arange(size)
-    own[:, index, index] += equations.prior_hessian
+    own[:, index, index] = (own[:, index, index] + equations.prior_hessian) * (1.0 + damping)
     diagonal, below = _jerk_blocks(trial, frames, size)
     blocks = len(diagonal)
     padded = np.zeros((blocks * FRAMES_PER_BLOCK, size, size))
@@ -268,7 +272,6 @@ def _factorise(
     for i in range(FRAMES_PER_BLOCK):
         by_frame[:, i, :, i] += padded[i::FRAMES_PER_BLOCK]
     whole = np.arange(FRAMES_PER_BLOCK * size)
-    diagonal[:, whole, whole] *= 1.0 + damping
     diagonal[:, whole, whole] += 1e-9
     if not shared:
         return factorise(diagonal, below)

@@ -49,13 +49,14 @@ def low_pass(
         raise InputError(
             f"A cutoff of {cutoff_hz} Hz is impossible at {rate_hz} frames a second.",
             hint=f"Give a cutoff between 0 and {rate_hz / 2} Hz.",
+            code="cutoff-impossible",
         )
     corrected_hz = cutoff_hz / (2**0.5 - 1) ** 0.25
     sections = butter(2, min(corrected_hz, 0.499 * rate_hz), fs=rate_hz, output="sos")
     pad = 3 * (2 * sections.shape[0] + 1)
     columns = values.reshape(values.shape[0], -1)
     filtered = columns.copy()
-    for members, start, stop in _runs(columns):
+    for members, start, stop in known_runs(columns):
         if stop - start > pad:
             filtered[start:stop, members] = sosfiltfilt(sections, columns[start:stop, members], axis=0, padlen=pad)
     return filtered.reshape(values.shape)
@@ -70,8 +71,8 @@ def _median_of_known(stack: np.ndarray) -> np.ndarray:
     return np.where(known > 0, (low + np.where(known % 2 == 0, high, low)) / 2, np.nan)
 
 
-def _runs(columns: np.ndarray) -> list[tuple[np.ndarray, int, int]]:
-    """List the runs of known values as (columns, start, stop), columns with the same gaps together."""
+def known_runs(columns: Float[np.ndarray, "frame column"]) -> list[tuple[np.ndarray, int, int]]:
+    """List the runs of frames without NaN as (columns, start, stop), columns with the same gaps together."""
     known = np.isfinite(columns)
     patterns, member_of = np.unique(known, axis=1, return_inverse=True)
     runs: list[tuple[np.ndarray, int, int]] = []
