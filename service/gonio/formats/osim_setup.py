@@ -1,4 +1,4 @@
-"""The setup files of OpenSim's tools: scaling, inverse kinematics, inverse dynamics and external loads.
+"""The setup files of OpenSim's tools: scaling, inverse kinematics and inverse dynamics.
 
 File names in a setup are relative to the setup's own folder, as OpenSim has it; here they become paths.
 """
@@ -13,6 +13,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] - no types
 from gonio.errors import InputError
 from gonio.formats.osim_xml import (
     Element,
+    assigned,
     describe,
     flag,
     name_of,
@@ -20,13 +21,14 @@ from gonio.formats.osim_xml import (
     numbers,
     objects,
     open_document,
+    optional_file,
+    required_file,
     text,
     vector,
     words,
 )
 from gonio.records import BodyModel, Measurement, Tasks
 
-_UNASSIGNED = ("", "Unassigned")
 _ALWAYS = (-np.inf, np.inf)
 
 
@@ -137,27 +139,6 @@ class DynamicsSetup:
     output_file: Path
 
 
-@dataclass(frozen=True)
-class ExternalForce:
-    """One ExternalForce: columns of the data file whose names are identifier + x, y, z; empty where there are none."""
-
-    name: str
-    body: str
-    force_expressed_in: str
-    point_expressed_in: str
-    force: str
-    point: str
-    torque: str
-
-
-@dataclass(frozen=True)
-class ExternalLoads:
-    """An ExternalLoads file: the forces and the file that holds their data."""
-
-    data_file: Path
-    forces: tuple[ExternalForce, ...]
-
-
 def read_kinematics_setup(path: Path) -> KinematicsSetup:
     """Read the setup of an inverse kinematics.
 
@@ -166,11 +147,11 @@ def read_kinematics_setup(path: Path) -> KinematicsSetup:
     """
     tool, _ = open_document(path, "InverseKinematicsTool")
     return KinematicsSetup(
-        model_file=_required(tool, "model_file", path),
-        marker_file=_required(tool, "marker_file", path),
+        model_file=required_file(tool, "model_file", path),
+        marker_file=required_file(tool, "marker_file", path),
         tasks=_read_tasks(tool),
         time_range_s=_time_range(tool),
-        output_motion_file=_optional(tool, "output_motion_file", path),
+        output_motion_file=optional_file(tool, "output_motion_file", path),
     )
 
 
@@ -188,17 +169,17 @@ def read_scale_setup(path: Path) -> ScaleSetup:
     mass_kg = number(tool, "mass", -1.0)
     return ScaleSetup(
         name=name_of(tool),
-        model_file=_required(maker, "model_file", path),
-        marker_set_file=_optional(maker, "marker_set_file", path),
+        model_file=required_file(maker, "model_file", path),
+        marker_set_file=optional_file(maker, "marker_set_file", path),
         mass_kg=mass_kg if mass_kg > 0 else None,
         measurements=_read_measurements(scaler) if scaler is not None and "measurements" in order else (),
-        measured_file=_optional(scaler, "marker_file", path) if scaler is not None else None,
+        measured_file=optional_file(scaler, "marker_file", path) if scaler is not None else None,
         measured_range_s=_time_range(scaler) if scaler is not None else _ALWAYS,
         manual_factors=_read_manual_factors(scaler) if scaler is not None and "manualScale" in order else {},
         manual_last=order[-1:] == ["manualScale"],
         preserve_mass_distribution=scaler is not None and flag(scaler, "preserve_mass_distribution", default=False),
-        scaled_model_file=_optional(scaler, "output_model_file", path) if scaler is not None else None,
-        scale_set_file=_optional(scaler, "output_scale_file", path) if scaler is not None else None,
+        scaled_model_file=optional_file(scaler, "output_model_file", path) if scaler is not None else None,
+        scale_set_file=optional_file(scaler, "output_scale_file", path) if scaler is not None else None,
         placing=None if placer is None else _read_placement(placer, path),
     )
 
@@ -212,9 +193,9 @@ def read_dynamics_setup(path: Path) -> DynamicsSetup:
     tool, _ = open_document(path, "InverseDynamicsTool")
     cutoff_hz = number(tool, "lowpass_cutoff_frequency_for_coordinates", -1.0)
     return DynamicsSetup(
-        model_file=_required(tool, "model_file", path),
-        coordinates_file=_required(tool, "coordinates_file", path),
-        loads_file=_optional(tool, "external_loads_file", path),
+        model_file=required_file(tool, "model_file", path),
+        coordinates_file=required_file(tool, "coordinates_file", path),
+        loads_file=optional_file(tool, "external_loads_file", path),
         time_range_s=_time_range(tool),
         cutoff_hz=cutoff_hz if cutoff_hz > 0 else None,
         excluded_forces=tuple(words(tool, "forces_to_exclude")),
@@ -225,44 +206,9 @@ def read_dynamics_setup(path: Path) -> DynamicsSetup:
 
 def _result_file(tool: Element, setup: Path) -> Path:
     """Give where OpenSim writes: into the results' folder, whatever folder the file's name has, as .sto unless it says."""
-    name = Path(_unless_unassigned(tool, "output_gen_force_file") or "inverse_dynamics.sto").name
-    folder = setup.parent / _unless_unassigned(tool, "results_directory")
+    name = Path(assigned(tool, "output_gen_force_file")).name or "inverse_dynamics"
+    folder = setup.parent / assigned(tool, "results_directory")
     return folder / (name if Path(name).suffix else f"{name}.sto")
-
-
-def read_external_loads(path: Path) -> ExternalLoads:
-    """Read which columns of which file push on which body; forces that are switched off are left out.
-
-    Raises:
-        InputError: the file can't be read or is no such file, or a force has no body or no columns.
-    """
-    loads, _ = open_document(path, "ExternalLoads")
-    forces: list[ExternalForce] = []
-    for element in loads.iter("ExternalForce"):
-        if flag(element, "isDisabled", default=False) or not flag(element, "appliesForce", default=True):
-            continue
-        identifiers = [_unless_unassigned(element, f"{kind}_identifier") for kind in ("force", "point", "torque")]
-        if not _unless_unassigned(element, "applied_to_body") or not any((identifiers[0], identifiers[2])):
-            raise InputError(
-                f"{describe(element)} has no body, or neither force nor torque.",
-                hint="Give applied_to_body, force_identifier and point_identifier.",
-            )
-        forces.append(
-            ExternalForce(
-                name_of(element),
-                *(
-                    _body_of(element, f"{what}_body")
-                    for what in ("applied_to", "force_expressed_in", "point_expressed_in")
-                ),
-                *identifiers,
-            )
-        )
-    return ExternalLoads(data_file=_required(loads, "datafile", path), forces=tuple(forces))
-
-
-def _body_of(element: Element, tag: str) -> str:
-    """Read a body's name, or the last part of its path (``/bodyset/calcn_r``); the ground where there is none."""
-    return text(element, tag, "ground").rsplit("/", 1)[-1]
 
 
 def write_scale_set(path: Path, bodies: tuple[str, ...], factors: Float[np.ndarray, "body 3"]) -> None:
@@ -286,11 +232,11 @@ def _part(tool: Element, tag: str) -> Element | None:
 
 def _read_placement(placer: Element, path: Path) -> PlacementSetup:
     return PlacementSetup(
-        marker_file=_required(placer, "marker_file", path),
+        marker_file=required_file(placer, "marker_file", path),
         tasks=_read_tasks(placer),
         time_range_s=_time_range(placer),
-        output_model_file=_optional(placer, "output_model_file", path),
-        output_motion_file=_optional(placer, "output_motion_file", path),
+        output_model_file=optional_file(placer, "output_model_file", path),
+        output_motion_file=optional_file(placer, "output_motion_file", path),
     )
 
 
@@ -360,20 +306,3 @@ def _time_range(tool: Element) -> tuple[float, float]:
             f"<time_range> of {describe(tool)} is {' '.join(given)[:60]!r}.", hint="Give its start and its end, in s."
         )
     return float(times[0]), float(times[1])
-
-
-def _unless_unassigned(element: Element, tag: str) -> str:
-    given = text(element, tag)
-    return "" if given in _UNASSIGNED else given
-
-
-def _optional(element: Element, tag: str, setup: Path) -> Path | None:
-    given = _unless_unassigned(element, tag)
-    return setup.parent / given if given else None
-
-
-def _required(element: Element, tag: str, setup: Path) -> Path:
-    found = _optional(element, tag, setup)
-    if found is None:
-        raise InputError(f"{setup.name} has no <{tag}>.", hint="Name the file, relative to the setup's folder.")
-    return found

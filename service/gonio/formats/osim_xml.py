@@ -156,3 +156,23 @@ def children(element: Element | None) -> list[Element]:
 def objects(owner: Element, tag: str) -> list[Element]:
     """List the elements of a set, ``<tag><objects>…``; an absent set is empty."""
     return children(owner.find(f"{tag}/objects"))
+
+
+def assigned(element: Element, tag: str) -> str:
+    """Read a property as text; what OpenSim calls unassigned is empty."""
+    given = text(element, tag)
+    return "" if given == "Unassigned" else given
+
+
+def optional_file(element: Element, tag: str, document: Path) -> Path | None:
+    """Read a property that names a file relative to the document's folder; None where it names none."""
+    given = assigned(element, tag)
+    return document.parent / given if given else None
+
+
+def required_file(element: Element, tag: str, document: Path) -> Path:
+    """Read a property that must name a file, relative to the document's folder."""
+    found = optional_file(element, tag, document)
+    if found is None:
+        raise InputError(f"{document.name} has no <{tag}>.", hint="Name the file, relative to the setup's folder.")
+    return found

@@ -22,15 +22,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.errors import InputError
+from gonio.formats.external_loads import ExternalForce, ExternalLoads, read_external_loads
 from gonio.formats.mot import Table, read_mot, write_mot
 from gonio.formats.osim import read_osim, read_osim_forces
-from gonio.formats.osim_setup import (
-    DynamicsSetup,
-    ExternalForce,
-    ExternalLoads,
-    read_dynamics_setup,
-    read_external_loads,
-)
+from gonio.formats.osim_setup import DynamicsSetup, read_dynamics_setup
 from gonio.kernel.body.forward import body_poses
 from gonio.kernel.dynamics import opensim, zero_lag
 from gonio.kernel.dynamics.opensim import SmoothMotion, interpolate_forces

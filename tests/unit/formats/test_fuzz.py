@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from gonio.errors import InputError
+from gonio.formats.external_loads import read_external_loads
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import Table, read_mot, write_mot
 from gonio.formats.osim import read_osim
-from gonio.formats.osim_setup import read_external_loads, read_kinematics_setup, read_scale_setup
+from gonio.formats.osim_setup import read_dynamics_setup, read_kinematics_setup, read_scale_setup
 from gonio.formats.trc import Trajectories, read_trc, write_trc
 from gonio.kernel.body.forward import marker_positions
 
@@ -26,7 +27,9 @@ SETUP = f"""<?xml version="1.0"?><OpenSimDocument Version="20302"><{{tool}} name
 </ScaleSet><marker_file>s.trc</marker_file><time_range>1 2</time_range></ModelScaler>
 <IKTaskSet><objects>{MARKER_TASK}<IKCoordinateTask name="q"><weight>1</weight><value_type>manual_value</value_type>
 <value>0.5</value></IKCoordinateTask></objects></IKTaskSet><marker_file>t.trc</marker_file>
-<time_range>0.4 1.6</time_range>
+<time_range>0.4 1.6</time_range><results_directory>out</results_directory><forces_to_exclude>Muscles</forces_to_exclude>
+<coordinates_file>q.mot</coordinates_file><output_gen_force_file>torques</output_gen_force_file>
+<lowpass_cutoff_frequency_for_coordinates>6</lowpass_cutoff_frequency_for_coordinates>
 <objects><ExternalForce name="r"><applied_to_body>calcn</applied_to_body><force_identifier>v</force_identifier>
 <point_identifier>p</point_identifier></ExternalForce></objects></{{tool}}></OpenSimDocument>"""
 
@@ -41,6 +44,7 @@ def write_samples(folder):
     tools = {
         "InverseKinematicsTool": read_kinematics_setup,
         "ScaleTool": read_scale_setup,
+        "InverseDynamicsTool": read_dynamics_setup,
         "ExternalLoads": read_external_loads,
     }
     for tool in tools:

@@ -15,6 +15,9 @@ from scipy.signal import lfilter
 
 from gonio.errors import InputError
 
+LARGEST = 1e9
+"""No angle, place or force is as large (rad, m, N, Nm): what is comes from a damaged file, and would overflow in a spline."""
+
 _UNIFORM_S = 2.3e-16  # OpenSim compares the mean with the smallest step to within its machine precision
 
 
@@ -52,10 +55,11 @@ def differentiate(
             f"A motion of {len(times_s)} samples, or with times that don't ascend, can't be differentiated.",
             hint="Give at least six samples in ascending order of time.",
         )
-    if not np.all(np.isfinite(q)):
+    known = (np.abs(q) < LARGEST).all(axis=1)  # false for NaN
+    if not known.all():
         raise InputError(
-            f"The motion has a gap at {times_s[np.argmax(~np.isfinite(q).all(axis=1))]:.3f} s.",
-            hint="Fill it, or give a time range without it.",
+            f"The motion has a gap or an impossible value at {times_s[np.argmin(known)]:.3f} s.",
+            hint="Fill the gap before: the filter works on all of the motion.",
         )
     # What the filter pads at the ends must not become part of the result.
     start_s, end_s = max(time_range_s[0], times_s[0]), min(time_range_s[1], times_s[-1])
@@ -113,10 +117,10 @@ def interpolate_forces(
     Raises:
         InputError: the forces begin after the motion or end before it, or hold a NaN.
     """
-    known = np.isfinite(values).all(axis=1)
+    known = (np.abs(values) < LARGEST).all(axis=1)  # false for NaN
     if not known.all():
         raise InputError(
-            f"The forces have a gap at {times_s[np.argmin(known)]:.3f} s.",
+            f"The forces have a gap or an impossible value at {times_s[np.argmin(known)]:.3f} s.",
             hint="Write 0 where nothing pushes, and fill what was lost.",
         )
     margin_s = 1.5 * float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0

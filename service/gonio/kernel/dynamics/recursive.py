@@ -52,6 +52,13 @@ WHOLE = np.dtype(
 )
 
 
+class Pushed(NamedTuple):
+    """What pushes from outside, for compiled code."""
+
+    bodies: Array  # (wrench,), the number of the body
+    wrenches: Array  # (frame, wrench, 6): force, moment about the lab's origin; NaN is nothing
+
+
 class Inertia(NamedTuple):
     """The bodies and gravity, for compiled code."""
 
@@ -154,17 +161,9 @@ def solve_dynamics(
             hint="Give positions, rates and accelerations of the same frames, one column for each coordinate.",
         )
     frames = len(q)
-    pushed = np.zeros((frames, len(model.bodies.names), 6))
-    for wrench in wrenches:
-        if len(wrench.force_n) != frames:
-            raise InputError(
-                f"The wrench on {wrench.body} has {len(wrench.force_n)} frames, the motion {frames}.",
-                hint="Resample the forces to the motion's times.",
-            )
-        pushed[:, model.bodies.index(wrench.body)] += np.nan_to_num(np.hstack([wrench.force_n, wrench.moment_nm]))
-    tree, inertia = flatten(model), _inertia(model)
+    tree, inertia, pushed = flatten(model), _inertia(model), _collect(model, wrenches, frames)
     forces, whole = np.zeros(q.shape), np.zeros(frames, dtype=WHOLE)
-    values, rates, rates2 = (np.array(a, dtype=float, order="C") for a in (q, velocity, acceleration))
+    values, rates, rates2 = np.array(q, dtype=float, order="C"), _read_only(velocity), _read_only(acceleration)
 
     def solve(start: int, stop: int) -> None:
         _solve_frames(tree, inertia, start, stop, values, rates, rates2, pushed, forces, whole)
@@ -173,7 +172,7 @@ def solve_dynamics(
     return Dynamics(
         coordinate_names=model.coordinates.names,
         forces=forces,
-        powers_w=forces * rates,
+        powers_w=forces * velocity,
         com_lab_m=whole["com"],
         momentum_ns=whole["momentum"],
         angular_momentum_nms=whole["angular"],
@@ -181,6 +180,25 @@ def solve_dynamics(
         net_moment_nm=whole["moment"],
         energy_j=whole["energy"],
     )
+
+
+def _collect(model: BodyModel, wrenches: tuple[Wrench, ...], frames: int) -> Pushed:
+    stacked = np.empty((frames, len(wrenches), 6))
+    for index, wrench in enumerate(wrenches):
+        if len(wrench.force_n) != frames:
+            raise InputError(
+                f"The wrench on {wrench.body} has {len(wrench.force_n)} frames, the motion {frames}.",
+                hint="Resample the forces to the motion's times.",
+            )
+        stacked[:, index, :3], stacked[:, index, 3:] = wrench.force_n, wrench.moment_nm
+    return Pushed(np.array([model.bodies.index(wrench.body) for wrench in wrenches], dtype=int), stacked)
+
+
+def _read_only(values: Float[np.ndarray, "frame coordinate"]) -> Float[np.ndarray, "frame coordinate"]:
+    """Give a view that compiled code may only read: one signature for whoever made the array, and no copy."""
+    view = np.ascontiguousarray(values, dtype=float).view()
+    view.flags.writeable = False
+    return view
 
 
 def _inertia(model: BodyModel) -> Inertia:
@@ -201,7 +219,7 @@ def _solve_frames(  # noqa: PLR0913 - what it fills is passed in
     q: Array,
     velocity: Array,
     acceleration: Array,
-    pushed: Array,  # (frame, body, 6): force, moment about the lab's origin
+    pushed: Pushed,
     forces: Array,  # (frame, coordinate)
     whole: Array,  # (frame,) WHOLE, zeros
 ) -> None:
@@ -213,7 +231,8 @@ def _solve_frames(  # noqa: PLR0913 - what it fills is passed in
         couple_coordinates(tree, q[frame], coordinates)
         pose_nodes(tree, q[frame], coordinates, nodes)
         _move_outwards(tree, nodes, velocity[frame], acceleration[frame], motion, work)
-        _load_bodies(inertia, nodes, motion, pushed[frame], whole[frame], work)
+        _load_bodies(inertia, nodes, motion, whole[frame], work)
+        _push_bodies(inertia, pushed.bodies, pushed.wrenches[frame], motion)
         _gather_inwards(tree, nodes, motion, forces[frame])
 
 
@@ -255,8 +274,8 @@ def _move_outwards(tree: Tree, nodes: Array, velocity: Array, acceleration: Arra
 
 
 @njit(cache=True, error_model="numpy")
-def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, whole: Array, work: Array) -> None:
-    """Give each node the force that its bodies need, less what pushes them, and sum up the whole body."""
+def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, whole: Array, work: Array) -> None:
+    """Give each node the force that its bodies need, and sum up the whole body."""
     place, carried, force, spin, moment = work[0], work[1], work[2], work[3], work[4]
     mass = 0.0
     for index in range(len(inertia.bodies)):
@@ -273,13 +292,23 @@ def _load_bodies(inertia: Inertia, nodes: Array, motion: Array, pushed: Array, w
             whole.angular[i] += spin[i] + place[j] * carried[k] - place[k] * carried[j]
             whole.force[i] += force[i]
             whole.moment[i] += about_lab
-            here.force[i] += force[i] - pushed[index, i]
-            here.moment[i] += about_lab - pushed[index, 3 + i]
+            here.force[i] += force[i]
+            here.moment[i] += about_lab
     for i in range(3):
         whole.com[i] /= mass
     _cross(whole.com, whole.momentum, spin)
     for i in range(3):  # from the lab's origin to the centre of mass
         whole.angular[i] -= spin[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _push_bodies(inertia: Inertia, pushed: Array, wrenches: Array, motion: Array) -> None:
+    """Take what pushes from outside off what the bodies' nodes need."""
+    for index in range(len(pushed)):
+        here, wrench = motion[inertia.bodies[pushed[index]].node], wrenches[index]
+        for i in range(3):
+            here.force[i] -= 0.0 if np.isnan(wrench[i]) else wrench[i]
+            here.moment[i] -= 0.0 if np.isnan(wrench[3 + i]) else wrench[3 + i]
 
 
 @njit(cache=True, error_model="numpy")
