@@ -122,7 +122,7 @@ def _distance(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def measure_keypoints(rig: Rig, points: ImagePoints) -> dict[str, float]:
-    """Measure the scatter of keypoints about the robust, smoothed reconstruction from all cameras."""
+    """Measure the scatter of keypoints about the robust, smoothed reconstruction from all cameras; NaN is: no such keypoint."""
     cameras, frames, keypoints, _ = points.uv_px.shape
     confidence = np.where(points.confidence > 0.1, points.confidence, 0.0)
     solved = triangulate(
@@ -154,7 +154,8 @@ def measure_keypoints(rig: Rig, points: ImagePoints) -> dict[str, float]:
     for low, high in ((0.2, 0.4), (0.4, 0.55), (0.6, 0.7)):
         chosen = seen & (points.confidence > low) & (points.confidence < high)
         # The median length of a normal vector in the plane is 1.177 standard deviations of an axis.
-        measured[f"sigma_at_{low + high:.2f}_mm".replace(".", "")] = 1e3 * float(np.median(away[chosen])) / 1.177
+        sigma_m = float(np.median(away[chosen])) / 1.177 if chosen.any() else np.nan
+        measured[f"sigma_at_{low + high:.2f}_mm".replace(".", "")] = 1e3 * sigma_m
     inlier = np.where((away < SIGHT_M)[..., None], scatter, np.nan)
     for lag in (1, 5, 10):
         product = inlier[:, lag:] * inlier[:, :-lag]
