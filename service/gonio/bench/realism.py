@@ -63,7 +63,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 
 def _compare_keypoints(bench: Bench) -> None:
-    rig, points = _read_balancing()
+    rig, points = read_balancing()
     real = measure_keypoints(refine_on_person(rig, points, 0.3).rig, points)
     # Cameras like the recording's, upright pictures of 1088 × 1920 from 4 m away, around a man who walks through.
     cameras = make_rig(4, radius_m=4.0, height_m=1.2, image_size_px=(1088, 1920), focal_px=1680.0)
@@ -82,8 +82,12 @@ def _compare_keypoints(bench: Bench) -> None:
             bench.add(f"keypoints_{kind}_{name}", value, unit, at_least=low, at_most=high)
 
 
-def _read_balancing() -> tuple[Rig, ImagePoints]:
-    """Read OpenPose's keypoints of the subject: the largest person of the first frame, then always the nearest."""
+def read_balancing() -> tuple[Rig, ImagePoints]:
+    """Read OpenPose's keypoints of the subject: the largest person of the first frame, then always the nearest.
+
+    Raises:
+        ResourceError: the recording is not there.
+    """
     if not BALANCING.is_dir():
         raise ResourceError(
             "The balancing trial is not there.", hint=f"Put it into {BALANCING}.", code="bench-data-missing"

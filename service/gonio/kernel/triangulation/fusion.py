@@ -60,7 +60,7 @@ def fuse(
         projections: ``K [R|t]`` of each camera.
         focal_px: Mean focal length of each camera.
         uv_px: Undistorted observations; NaN is missing.
-        confidence: Their weights; 0 is missing.
+        confidence: Theirs; an observation weighs by its square, as in ``robust`` triangulation; 0 is missing.
         start: Points to start from, as triangulated frame by frame; NaN is filled by straight lines.
         rate_hz: Of the frames.
         cutoff_hz: Where the penalty begins to win over the observations of one camera: about the bandwidth of the track.
@@ -68,7 +68,7 @@ def fuse(
     A keypoint that was triangulated in fewer than two frames is NaN.
     """
     frames, keypoints = confidence.shape[1:]
-    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
+    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0) ** 2
     xyz = _filled(start)
     depth_m = np.einsum("ci,fki->cfk", projections[:, 2, :3], xyz) + projections[:, 2, 3, None, None]
     px_per_m = focal_px[:, None, None] / np.maximum(depth_m, 0.1)
