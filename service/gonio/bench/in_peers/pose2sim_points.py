@@ -5,8 +5,8 @@ Usage: pose2sim_points.py TRIAL.npz FOLDER STEP...
 
 TRIAL.npz holds ``keypoint_names`` (BODY_25B), ``uv_px`` (camera, frame, keypoint, 2; NaN missing), ``confidence``,
 ``rate_hz``, ``size_px``, ``intrinsic_px``, ``distortion`` and ``T_cam_lab`` (camera, 4, 4), in a lab with Y up. Writes
-``points.npz`` (``raw`` and, after filtering, ``filtered``, frame × keypoint × 3, in the same lab; ``names``) and
-``times.json`` (seconds of each step, and of the bare triangulation without its files) into the folder.
+``points.npz`` (``raw`` and, after filtering, ``filtered``, frame × keypoint × 3, in the same lab, with ``raw_names`` and
+``filtered_names``) and ``times.json`` (seconds of each step, and of the bare triangulation without its files) into the folder.
 """
 
 import json
@@ -42,9 +42,12 @@ def main(trial: str, out: str, *steps: str) -> None:
         times[step] = time.perf_counter() - start
     times["bare_triangulation"] = bare[0]
     files = sorted((folder / "pose-3d").glob("*.trc"))
-    found = {"filtered" if "filt" in f.name else "raw": read_trc(f) for f in files if "LSTM" not in f.name}
-    names = next(iter(found.values()))[0]
-    np.savez(folder / "points.npz", names=names, **{kind: xyz for kind, (_, xyz) in found.items()})
+    found = {}
+    for file in files:
+        if "LSTM" not in file.name:
+            kind = "filtered" if "filt" in file.name else "raw"
+            found[f"{kind}_names"], found[kind] = read_trc(file)
+    np.savez(folder / "points.npz", **found)
     (folder / "times.json").write_text(json.dumps(times))
 
 

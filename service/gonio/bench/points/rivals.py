@@ -73,12 +73,13 @@ def run_pose2sim(
     folder = folder.resolve()
     run_in_peer(rivals.pose2sim, "pose2sim_points", trial.resolve(), folder, *steps)
     found, theirs = np.load(folder / "points.npz"), {}
+    frames = len(found["raw"])
     for kind in ("raw", "filtered"):
-        xyz = found[kind] if kind in found else found["raw"]
-        theirs[kind] = np.full((len(xyz), len(names), 3), np.nan)
-        for column, name in enumerate(our_names([str(name) for name in found["names"]])):
-            if name in names:
-                theirs[kind][:, names.index(name)] = xyz[:, column]
+        theirs[kind] = np.full((frames, len(names), 3), np.nan)
+        if kind in found:  # its filter loses the last frame
+            for column, name in enumerate(our_names([str(name) for name in found[f"{kind}_names"]])):
+                if name in names:
+                    theirs[kind][: len(found[kind]), names.index(name)] = found[kind][:, column]
     seconds = json.loads((folder / "times.json").read_text())
     return Pose2SimPoints(raw=theirs["raw"], filtered=theirs["filtered"], seconds=seconds)
 
