@@ -29,7 +29,7 @@ from gonio.kernel.virtual_lab.keypoints import detect, read_anatomy
 from gonio.records import ImagePoints, Rig, Timebase
 
 SEEDS = {"burst": 5, "clean": 3}
-SIGMA_M = 0.0104
+SIGMA_M = 0.0102
 """The scatter at the usual confidence, with which Pose2Sim's filtered points are 5.5 mm off where there are no outliers."""
 
 RATE_HZ = 60.0
