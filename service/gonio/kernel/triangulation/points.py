@@ -39,8 +39,8 @@ About twice the scatter of a good keypoint detector on a person (5 px at 4 m and
 clean observations keep nearly full weight and a limb that was swapped (> 100 mm) nearly none.
 """
 
-BLOCK_POINTS = 4096
-"""Points that one thread takes at a time: some 20 ms of work, long against what handing it over costs."""
+BLOCK_POINTS = 1024
+"""Points that one thread takes at a time: some 5 ms of work, long against what handing it over costs."""
 
 
 @record
