@@ -50,7 +50,9 @@ def test_plain_rungs_count_all_cameras_alike(rig: Rig) -> None:
         np.testing.assert_array_equal(
             solve(rig, uv, confidence, method).xyz_lab_m, solve(rig, uv, ones, method).xyz_lab_m
         )
-    assert np.abs(solve(rig, uv, confidence, "linear").xyz_lab_m - solve(rig, uv, ones, "linear").xyz_lab_m).max() > 1e-4
+    assert (
+        np.abs(solve(rig, uv, confidence, "linear").xyz_lab_m - solve(rig, uv, ones, "linear").xyz_lab_m).max() > 1e-4
+    )
 
 
 def test_robust_minimises_the_cauchy_cost(rig: Rig) -> None:

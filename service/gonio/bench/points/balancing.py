@@ -12,7 +12,15 @@ from jaxtyping import Bool, Float
 
 from gonio.bench import Bench
 from gonio.bench.points.chain import Points, as_marker_set, choose, find_motion, find_points
-from gonio.bench.points.rivals import MIN_CONFIDENCE, open_rivals, renamed, renamed_card, run_aniposelib, run_pose2sim, write_trial
+from gonio.bench.points.rivals import (
+    MIN_CONFIDENCE,
+    open_rivals,
+    renamed,
+    renamed_card,
+    run_aniposelib,
+    run_pose2sim,
+    write_trial,
+)
 from gonio.bench.realism import read_balancing
 from gonio.errors import GonioError
 from gonio.kernel.body.forward import marker_positions
@@ -77,7 +85,7 @@ def _measure_steadiness(
     names = points.keypoint_names
     lengths = np.stack([np.linalg.norm(xyz[:, names.index(a)] - xyz[:, names.index(b)], axis=-1) for a, b in LIMBS])
     variation = 100 * np.nanstd(lengths, axis=1) / np.nanmean(lengths, axis=1)
-    bench.add(f"real_limb_cv_{who}_pct", np.median(variation), "%", at_most=worst_pct)
+    bench.add(f"real_limb_cv_{who}_pct", float(np.median(variation)), "%", at_most=worst_pct)
     ends = sorted({names.index(name) for limb in LIMBS for name in limb})
     jerk = np.diff(xyz[:, ends], n=3, axis=0) * points.timebase.rate_hz**3
     bench.add(f"real_jerk_{who}_m_s3", np.sqrt(np.nanmean((jerk**2).sum(axis=-1))), "m/s3")
@@ -90,7 +98,7 @@ def _measure_rivals(bench: Bench, build_dir: Path, rig: Rig, points: ImagePoints
     aniposelib, _ = run_aniposelib(rivals, trial, folder / "aniposelib.npz", points.keypoint_names)
     for who, xyz in (("pose2sim_raw", pose2sim.raw), ("pose2sim", pose2sim.filtered), ("aniposelib", aniposelib)):
         _measure_steadiness(bench, who, xyz, points)
-        bench.add(f"real_reprojection_{who}_px", np.nanmean(_errors_px(rig, points, xyz)), "px")
+        bench.add(f"real_reprojection_{who}_px", float(np.nanmean(_errors_px(rig, points, xyz))), "px")
 
 
 def _errors_px(rig: Rig, points: ImagePoints, xyz: Track) -> Float[np.ndarray, "camera frame keypoint"]:
@@ -115,8 +123,8 @@ def _measure_held_out_motion(bench: Bench, points: ImagePoints, rig: Rig, card: 
         found = find_points(seen, rig, chosen.reconstruction)
         _, motion = find_motion(seen, found, chosen, (as_marker_set(card),))
         for way, error in _foretell(found, _as_fitted(motion), points, hidden).items():
-            bench.add(f"real_hidden_{kind}_{way}_px", np.nanmean(error), "px")
-            bench.add(f"real_hidden_{kind}_{way}_median_px", np.nanmedian(error), "px")
+            bench.add(f"real_hidden_{kind}_{way}_px", float(np.nanmean(error)), "px")
+            bench.add(f"real_hidden_{kind}_{way}_median_px", float(np.nanmedian(error)), "px")
 
 
 def _in_order(placed: Track, motion: BodyMotion, points: ImagePoints) -> Track:

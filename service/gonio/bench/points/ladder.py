@@ -45,13 +45,13 @@ def measure_ladder(bench: Bench) -> None:
             by_frame.setdefault(rung, []).append(100 * np.nanmean(error, axis=1))
             of_mean.setdefault(rung, []).append(100 * np.abs(np.nanmean(length_m, axis=1) / true_m - 1))
     for rung, errors in by_frame.items():
-        bench.add(f"virtual_mape_{rung}_pct", np.mean(errors), "%", at_most=_WORST.get(rung))
+        bench.add(f"virtual_mape_{rung}_pct", float(np.mean(errors)), "%", at_most=_WORST.get(rung))
         if rung in PUBLISHED_PCT:
             bench.add(f"virtual_mape_{rung}_pct_published", PUBLISHED_PCT[rung], "%")
         for limb, value in zip(LIMBS, np.mean(errors, axis=0), strict=True):
             bench.add(f"virtual_mape_{rung}_{limb.replace(' ', '_')}_pct", value, "%")
     for rung in ("robust", "points"):
-        bench.add(f"virtual_mape_of_mean_{rung}_pct", np.mean(of_mean[rung]), "%")
+        bench.add(f"virtual_mape_of_mean_{rung}_pct", float(np.mean(of_mean[rung])), "%")
         worst = np.mean(of_mean[rung], axis=0).max()
         bench.add(f"virtual_mape_of_mean_{rung}_worst_limb_pct", worst, "%", at_most=1.5 if rung == "points" else None)
 
@@ -111,10 +111,10 @@ def measure_mismatch(bench: Bench) -> None:
                 if way == "pixels":
                     covered[joint].append(100 * float((np.abs(apart) < 1.96 * sd_deg).mean()))
     for name, values in errors.items():
-        bench.add(name, np.median(values), "deg", at_most=2.5 if name == "mismatch_knee_deg_pixels" else None)
+        bench.add(name, float(np.median(values)), "deg", at_most=2.5 if name == "mismatch_knee_deg_pixels" else None)
     for joint, values in covered.items():
-        bench.add(f"mismatch_coverage95_{joint}_pct", np.mean(values), "%")
-    bench.add("mismatch_coverage95_points_pct", np.mean(inside), "%")
+        bench.add(f"mismatch_coverage95_{joint}_pct", float(np.mean(values)), "%")
+    bench.add("mismatch_coverage95_points_pct", float(np.mean(inside)), "%")
 
 
 def measure_error_bars(bench: Bench) -> None:
@@ -128,7 +128,7 @@ def measure_error_bars(bench: Bench) -> None:
         chosen = choose(min_confidence=0.3, refine_cameras=False)
         found = find_points(trial.points, trial.rig, chosen.reconstruction)
         inside.append(_cover_points(trial, found.turned_back(found.raw.points)))
-    bench.add("coverage95_points_pct", np.mean(inside), "%", at_least=92.0, at_most=98.0)
+    bench.add("coverage95_points_pct", float(np.mean(inside)), "%", at_least=92.0, at_most=98.0)
 
 
 def _cover_points(trial: VirtualTrial, points: LabPoints) -> float:

@@ -67,7 +67,11 @@ def write_trial(path: Path, rig: Rig, points: ImagePoints) -> Path:
 
 
 def run_pose2sim(
-    rivals: Rivals, trial: Path, folder: Path, names: Sequence[str], steps: Sequence[str] = ("triangulation", "filtering")
+    rivals: Rivals,
+    trial: Path,
+    folder: Path,
+    names: Sequence[str],
+    steps: Sequence[str] = ("triangulation", "filtering"),
 ) -> Pose2SimPoints:
     """Let Pose2Sim do its steps on a trial that :func:`write_trial` wrote; points in the order of our ``names``."""
     folder = folder.resolve()

@@ -146,9 +146,7 @@ def _triangulation(rig: Rig, points: ImagePoints, *, undistorts: bool) -> Callab
 
     def work() -> object:
         seen_px = undistort_rig(rig, uv_px) if undistorts else straight_px
-        return triangulate(
-            projection_matrices(rig), focal_lengths_px(rig), seen_px.reshape(cameras, -1, 2), confidence
-        )
+        return triangulate(projection_matrices(rig), focal_lengths_px(rig), seen_px.reshape(cameras, -1, 2), confidence)
 
     return work
 
