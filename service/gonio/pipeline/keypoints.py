@@ -30,8 +30,8 @@ class Keypoints:
     """The subject's keypoints, and a still frame of each camera to show them on.
 
     ``networks`` are the cards of the networks that found them, the landmarks' last; none for keypoints of the virtual
-    laboratory. ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their size
-    against the video's.
+    laboratory. ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their
+    size against the video's.
     """
 
     points: ImagePoints

@@ -87,7 +87,7 @@ def write_project(data, folder: Path) -> dict:  # noqa: ANN001
             people = [{"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}]
             (poses / f"cam{number + 1:02d}.{frame:06d}.json").write_text(json.dumps({"version": 1.3, "people": people}))
     (folder / "calibration" / "Calib.toml").write_text("\n".join(lines))
-    text = (Path(Pose2Sim.__file__).parent / "Demo_SinglePerson" / "Config.toml").read_text(encoding="utf-8")
+    text = (Path(str(Pose2Sim.__file__)).parent / "Demo_SinglePerson" / "Config.toml").read_text(encoding="utf-8")
     (folder / "Config.toml").write_text(text, encoding="utf-8")
     config = Steps.read_config_files(str(folder))[1][0]
     config["project"] |= {"project_dir": str(folder), "frame_rate": float(data["rate_hz"]), "frame_range": "all"}

@@ -90,7 +90,7 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
 
 
 def measure_growth(bench: Bench) -> None:
-    """Time and memory of long trials, each in a process of its own: to the points and angles, and with the fit to the pixels."""
+    """Measure time and memory of long trials, each in a process of its own: up to angles of points, and of pixels."""
     for kind, lengths in (("", LONG), ("pixels_", LONG_PIXELS)):
         grown: list[tuple[float, float]] = []
         for frames in lengths:
@@ -101,28 +101,28 @@ def measure_growth(bench: Bench) -> None:
             if done.returncode:
                 bench.leave_out(f"{kind}fps_{frames}", GonioError(done.stderr[-300:], hint="Run it alone to see more."))
                 break
-            seconds, peak_mb = map(float, done.stdout.split()[-2:])
-            grown.append((seconds / frames, peak_mb))
+            seconds, cpu_s, peak_mb = map(float, done.stdout.split()[-3:])
+            grown.append((cpu_s / frames, peak_mb))
             bench.add(f"{kind}fps_{frames}", frames / seconds, "1/s")
             bench.add(f"{kind}peak_rss_mb_{frames}", peak_mb, "MB")
         if len(grown) == len(lengths):
-            # Linear: a frame of the longest trial costs no more than one of the shortest, and a quarter.
+            # Linear: a frame of the longest trial costs no more of the processor than one of the shortest, and a quarter.
             bench.add(f"{kind}cost_growth", grown[-1][0] / grown[0][0], "1", at_most=1.25)
             per_frame_kb = 1e3 * (grown[-1][1] - grown[0][1]) / (lengths[-1] - lengths[0])
             bench.add(f"{kind}memory_kb_a_frame", per_frame_kb, "kB")
 
 
 def tell_growth(frames: int, with_pixels: bool) -> None:
-    """Go the way of a trial of so many frames; write seconds (without compiling) and this process' peak memory, MB."""
+    """Go the way of so many frames; write seconds, the processor's seconds (both without compiling) and peak memory, MB."""
     with tempfile.TemporaryDirectory() as folder:
         card = renamed_card(Path(folder))
         _run_chain(*_repeat_walk(60), card, Path(folder), pixels=with_pixels)
         rig, points = _repeat_walk(frames)
-        start = time.perf_counter()
+        start_s, start_cpu_s = time.perf_counter(), time.process_time()
         _run_chain(rig, points, card, Path(folder), pixels=with_pixels)
-        seconds = time.perf_counter() - start
+        seconds, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kilobytes here
-    sys.stdout.write(f"{seconds} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6:.1f}")
+    sys.stdout.write(f"{seconds} {cpu_s} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6:.1f}")
 
 
 def _repeat_walk(frames: int) -> tuple[Rig, ImagePoints]:
