@@ -145,9 +145,7 @@ def describe_body(analysis: Analysis) -> BodyFit:
         marker_rms_mean_mm=number(1e3 * mean(rms), 1),
         marker_rms_max_mm=number(1e3 * float(np.nanmax(rms)), 1) if np.isfinite(rms).any() else None,
         kept_fraction=number(fit.inlier_share, 4) if fit is not None else None,
-        error_lasts_s=number(fit.correlation_frames / analysis.capture.timebase.rate_hz, 3)
-        if fit is not None
-        else None,
+        error_lasts_s=number(fit.error_lasts_s, 3) if fit is not None else None,
         # The factor along the segment's length: Y in the bodies' frames.
         segment_scales={
             name: round(float(factor), 4) for name, factor in zip(model.bodies.names, factors, strict=True)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gonio.pipeline.findings import finding
-from gonio.pipeline.params import KeypointParameters
+from gonio.pipeline.params import KeypointParameters, LookRate
 from gonio.pipeline.run import Outcome, Progress
 from gonio.records import Capture, ImagePoints, record
 from gonio.vision.blazepose import LandmarkModel, PersonDetector
@@ -21,8 +21,13 @@ from gonio.vision.weights import default_cache_dir, ensure_weights
 DETECTOR = "blazepose_detector"
 PICTURE_SIDE_PX = 960
 
-LOOKS_HZ = {"exact": 60.0, "default": 30.0, "fast": 20.0}
+LOOKS_HZ: dict[LookRate, float] = {"exact": 60.0, "default": 30.0, "fast": 20.0}
 """How often a camera is looked at. A detector's errors last for a tenth of a second: more looks mostly repeat them."""
+
+
+def look_stride(rate_hz: float, rate: LookRate) -> int:
+    """Give which frames of a video are looked at: every so-many-th."""
+    return max(1, int(rate_hz / LOOKS_HZ[rate] + 1e-3))
 
 
 @record
@@ -82,7 +87,7 @@ def find_keypoints(
         detector,
         landmarks,
         card.keypoints.names,
-        stride=max(1, int(capture.timebase.rate_hz / LOOKS_HZ[parameters.rate] + 1e-3)),
+        stride=look_stride(capture.timebase.rate_hz, parameters.rate),
         workers=workers,
         on_progress=progress,
         on_frames=keep_pictures,

@@ -40,6 +40,9 @@ class Trial:
     consecutive: Bool[np.ndarray, " frame"]  # whether a frame follows the one before in time
     priors: TrialPriors
     free: Int[np.ndarray, " free"]
+    repeat: float = (
+        1.0  # how many observations say the same: beliefs that hold for the whole trial weigh that much more
+    )
 
     @property
     def shared(self) -> int:
@@ -186,7 +189,8 @@ def _frame_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.nda
     for ahead, factor in enumerate((-1.0, 3.0, -3.0, 1.0)):
         np.add.at(gradient, starts + ahead, -factor * jerk * jerk_precision)
     # The mean over the trial is believed, so each frame gets 1/N of the information.
-    posture_precision = priors.posture_sd[trial.free] ** -2.0 / len(q) + priors.moment_sd[trial.free] ** -2.0
+    posture_precision = trial.repeat / len(q) * priors.posture_sd[trial.free] ** -2.0
+    posture_precision += priors.moment_sd[trial.free] ** -2.0
     away = q - priors.posture[trial.free]
     cost += 0.5 * float((away**2 * posture_precision).sum())
     gradient -= away * posture_precision
@@ -222,6 +226,7 @@ def _shared_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.nd
         corner[left, left] += mirror_sd**-2.0
         corner[right, left] -= sign * mirror_sd**-2.0
         corner[left, right] -= sign * mirror_sd**-2.0
+    corner *= trial.repeat
     downhill = -corner @ theta
     return -0.5 * float(theta @ downhill), corner, downhill
 

@@ -36,13 +36,17 @@ WIDE_LOSS, LOSS = 4.0, 2.0
 """Cauchy's scale in standard deviations: wide while the start is still off, then narrow."""
 
 TOLERANCE_RAD = 1e-5
-COST_TOLERANCE = 1e-5
+ROUGH_TOLERANCE, COST_TOLERANCE = 1e-3, 3e-5
 """The cost is half a chi-square: in a trial of a thousand observations a change by this share is a hundredth of a standard
 deviation of one unknown. Some unknowns (the turn of a straight arm) are hardly seen at all and may go on wandering."""
 MAX_ITERATIONS = 40
 LARGEST_STEP_RAD = 0.6
 MOST_SHARED_FRAMES = 400
 """Scales, offsets and biases are estimated on at most so many frames: more hardly sharpen them and cost time and memory."""
+
+SHARPEST = 0.25
+"""An observation is never believed to be sharper than this share of a camera's constant errors (2 mm at the subject): the
+body is not that much like its model, and a fit to exact points would chase the difference for ever."""
 
 LONGEST_BLIND_S = 0.2
 """Farther from a frame in which the subject was seen, the smoothness prior alone speaks: those frames are NaN."""
@@ -55,8 +59,8 @@ class PixelFit:
     """The motion, the subject's own body, and what the fit says of itself.
 
     ``sigma_px`` is an observation's standard deviation at confidence 1, by camera. ``inlier_share`` is the share of the
-    observations that keep more than half their weight. ``correlation_frames`` is by how many frames the residuals repeat
-    each other; the covariance counts with that. ``bias_px`` is each camera's constant error for each keypoint.
+    observations that keep more than half their weight. ``correlation_frames`` is by how many frames of the motion the
+    residuals repeat each other; the covariance counts with that. ``bias_px`` is each camera's constant error for each keypoint.
     """
 
     motion: Motion
@@ -66,12 +70,16 @@ class PixelFit:
     offset_m: Float[np.ndarray, "marker 3"]
     bias_px: Float[np.ndarray, "camera marker 2"]
     sigma_px: Float[np.ndarray, " camera"]
-    residual_px: Float[np.ndarray, "camera frame marker 2"]
     inlier_share: float
     correlation_frames: float
     swapped: Bool[np.ndarray, "camera frame"]
     converged: bool
     iterations: int
+
+    @property
+    def error_lasts_s(self) -> float:
+        """How long a residual lasts, in seconds."""
+        return self.correlation_frames * float(self.motion.times_s[1] - self.motion.times_s[0])
 
 
 def fit_pixels(
@@ -104,18 +112,29 @@ def fit_pixels(
     )
     # The blocks are small: BLAS's own threads would wait for each other longer than they work, thirty times on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
-        state, _, first, _ = _minimise(trial, _start(trial, start), WIDE_LOSS, shared=False)
-        state, sigma_px, second, _ = _minimise(trial, state, LOSS, shared=False)
+        state, _, first, _ = _minimise(trial, _start(trial, start), WIDE_LOSS, ROUGH_TOLERANCE, shared=False)
+        state, sigma_px, second, _ = _minimise(trial, state, LOSS, ROUGH_TOLERANCE, shared=False)
         trial, swapped = _unswap_legs(trial, state, sigma_px)
-        state, sigma_px, third, converged = _fit_shared(trial, state)
+        repeat = _repeat(trial, state, sigma_px)
+        state, sigma_px, third, converged = _fit_shared(replace(trial, repeat=repeat), state)
         return _report(trial, state, sigma_px, start, swapped, converged, first + second + third)
+
+
+def _repeat(trial: Trial, state: State, sigma_px: Float[np.ndarray, " camera"]) -> float:
+    """Give by how many frames the residuals repeat each other, once each camera's constant error is taken off."""
+    error = linearise(trial, state, sigma_px, LOSS, shared=False).data.error_px
+    whitened = np.nan_to_num(error) * (trial.confidence / sigma_px[:, None, None])[..., None]
+    weight = np.where(trial.confidence > 0, 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2), 0.0)[..., None]
+    whitened -= (weight * whitened).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+    inlier = ((whitened**2).sum(axis=-1) < LOSS**2) & (trial.confidence > 0)
+    return residual_correlation_frames(whitened, inlier)
 
 
 def _fit_shared(trial: Trial, state: State) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
     """Estimate what is shared together with the motion; in a long trial on a sample of it, then the motion of all of it."""
     frames = len(state.q)
     if frames <= MOST_SHARED_FRAMES:
-        return _minimise(trial, state, LOSS, shared=True)
+        return _minimise(trial, state, LOSS, COST_TOLERANCE, shared=True)
     chosen = _windows(frames)
     sample = replace(
         trial,
@@ -123,8 +142,10 @@ def _fit_shared(trial: Trial, state: State) -> tuple[State, Float[np.ndarray, " 
         confidence=trial.confidence[:, chosen],
         consecutive=np.r_[True, np.diff(chosen) == 1],
     )
-    fitted, _, first, _ = _minimise(sample, replace(state, q=state.q[chosen]), LOSS, shared=True)
-    state, sigma_px, second, converged = _minimise(trial, replace(fitted, q=state.q), LOSS, shared=False)
+    fitted, _, first, _ = _minimise(sample, replace(state, q=state.q[chosen]), LOSS, COST_TOLERANCE, shared=True)
+    state, sigma_px, second, converged = _minimise(
+        trial, replace(fitted, q=state.q), LOSS, COST_TOLERANCE, shared=False
+    )
     return state, sigma_px, first + second, converged
 
 
@@ -152,7 +173,7 @@ def _start(trial: Trial, start: Motion) -> State:
 
 
 def _minimise(
-    trial: Trial, state: State, loss_scale: float, *, shared: bool
+    trial: Trial, state: State, loss_scale: float, tolerance: float, *, shared: bool
 ) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
     """Levenberg-Marquardt; the noise level is estimated where it starts and once more where it has settled."""
     sigma_px = _noise_px(trial, state)
@@ -170,7 +191,7 @@ def _minimise(
             state, equations, damping = trial_state, trial_equations, max(0.2 * damping, 1e-7)
         else:
             damping *= 10.0
-        if largest < TOLERANCE_RAD or abs(gain) < COST_TOLERANCE * equations.cost:
+        if largest < TOLERANCE_RAD or abs(gain) < tolerance * equations.cost:
             if settled:
                 return state, sigma_px, iteration, True
             settled = True
@@ -189,7 +210,7 @@ def _noise_px(trial: Trial, state: State) -> Float[np.ndarray, " camera"]:
     levels = [
         np.sqrt(np.nanmedian(w[s]) / 1.386) if s.sum() > 50 else pooled for w, s in zip(weighted, seen, strict=True)
     ]
-    return np.maximum(levels, 0.05)
+    return np.maximum(levels, SHARPEST * trial.priors.bias_sd_px)
 
 
 def _unswap_legs(
@@ -273,7 +294,6 @@ def _report(
         offset_m=state.offset_m,
         bias_px=state.bias_px,
         sigma_px=sigma_px,
-        residual_px=error,
         inlier_share=float((weight[seen] > 0.5).mean()) if seen.any() else 0.0,
         correlation_frames=repeat,
         swapped=swapped,

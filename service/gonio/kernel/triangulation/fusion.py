@@ -103,11 +103,12 @@ def fuse(
 def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
     """Put the tracks into the points, with gaps where observations are too far apart and marks where they were filled.
 
-    A frame counts as observed where at least two cameras keep more than a quarter of their weight.
+    A frame counts as observed where at least two cameras keep more than a quarter of their weight. Between two observed
+    frames that are at most :data:`LONGEST_SPAN_S` apart a track is filled; in a longer span, and before the first and after
+    the last observed frame, there is nothing.
     """
     observed = (tracks.camera_weight > 0.25).sum(axis=0) >= 2
-    away = _frames_to_nearest(observed) / points.timebase.rate_hz
-    lost = away > LONGEST_SPAN_S / 2
+    lost = _span_frames(observed) > LONGEST_SPAN_S * points.timebase.rate_hz + 1e-6
     origin = np.where(observed, MEASURED, np.where(lost, MISSING, FILLED)).astype(np.uint8)
     return replace(
         points,
@@ -117,12 +118,12 @@ def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
     )
 
 
-def _frames_to_nearest(observed: np.ndarray) -> Float[np.ndarray, "frame keypoint"]:
-    """Give each frame's distance to the nearest observed one, in frames; infinite without any."""
+def _span_frames(observed: np.ndarray) -> Float[np.ndarray, "frame keypoint"]:
+    """Give how far the observed frames on both sides of each frame are apart: 0 on one, infinite beyond the ends."""
     frames = np.arange(len(observed))[:, None]
     before = np.maximum.accumulate(np.where(observed, frames, -np.inf), axis=0)
     after = np.minimum.accumulate(np.where(observed, frames, np.inf)[::-1], axis=0)[::-1]
-    return np.minimum(frames - before, after - frames)
+    return after - before
 
 
 def _plausible(
