@@ -108,7 +108,7 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
         method=analysis.parameters.reconstruction.method,
         smoothing=analysis.parameters.reconstruction.smoothing,
         looks_hz=round(analysis.keypoints.points.sampled.timebase.rate_hz, 3),
-        keypoint_model=analysis.parameters.keypoints.model,
+        keypoint_model=("virtual laboratory", *analysis.keypoints.networks)[-1],
         observations=int(np.isfinite(error_px).sum()),
         reprojection_mean_px=number(mean(error_px)),
         reprojection_median_px=number(median(error_px)),

@@ -34,11 +34,13 @@ def look_stride(rate_hz: float, rate: LookRate) -> int:
 class Keypoints:
     """The subject's keypoints, and a still frame of each camera to show them on.
 
-    ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their size
-    against the video's.
+    ``networks`` are the cards of the networks that found them, the landmarks' last; none for keypoints of the virtual
+    laboratory. ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their
+    size against the video's.
     """
 
     points: ImagePoints
+    networks: tuple[str, ...]
     pictures: tuple[Path, ...]
     picture_frame: int
     picture_scale: tuple[float, ...]
@@ -91,7 +93,11 @@ def find_keypoints(
         on_frames=keep_pictures,
     )
     keypoints = Keypoints(
-        points=tracked.points, pictures=tuple(pictures), picture_frame=middle, picture_scale=tuple(scales)
+        points=tracked.points,
+        networks=(DETECTOR, parameters.model),
+        pictures=tuple(pictures),
+        picture_frame=middle,
+        picture_scale=tuple(scales),
     )
     findings = [
         finding("camera-lost-subject", where=name, value=100 * (1 - float(seen.mean())))

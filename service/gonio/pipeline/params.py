@@ -49,8 +49,9 @@ class ReconstructionParameters:
     method: Annotated[
         Literal["stereo", "linear3", "linear4", "linear", "reprojection", "robust"],
         Field(
-            description="A step of the ladder: linear least squares over two (stereo), three, four or all cameras; "
-            "confidence-weighted reprojection (Levenberg-Marquardt); robust (camera-pair hypotheses, then Cauchy's loss)."
+            description="A step of the ladder: plain linear least squares over two (stereo), three or four cameras, or "
+            "confidence-weighted over all; confidence-weighted reprojection (Levenberg-Marquardt); robust (camera-pair "
+            "hypotheses, then Cauchy's loss)."
         ),
     ] = "robust"
     min_confidence: Annotated[

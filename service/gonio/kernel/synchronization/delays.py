@@ -152,7 +152,11 @@ def _resolve(streams: _Streams, lags: Int[np.ndarray, " camera"]) -> tuple[Float
 
 
 def _search(streams: _Streams) -> Int[np.ndarray, " camera"]:
-    """Find the whole-frame lags by coordinate descent: one camera at a time, coarse steps first, until none improves."""
+    """Find the whole-frame lags by coordinate descent: one camera at a time, coarse steps first, until none improves.
+
+    The first camera takes its turn too: what moves it against all others moves all their lags, and one by one they would not
+    go, since each would leave the rest.
+    """
     lags = np.zeros(len(streams.rig.cameras), dtype=int)
     costs: dict[tuple[int, ...], float] = {}
 
@@ -167,11 +171,13 @@ def _search(streams: _Streams) -> Int[np.ndarray, " camera"]:
         improving = True
         while improving:
             before = lags
-            for camera in range(1, len(lags)):
-                near = np.arange(lags[camera] - span, lags[camera] + span + 1, step)
-                for lag in near[np.abs(near) <= streams.reach]:
-                    trial = np.where(np.arange(len(lags)) == camera, lag, lags)
-                    lags = trial if cost(trial) < cost(lags) else lags
+            for camera in range(len(lags)):
+                moving = np.arange(len(lags)) != 0 if camera == 0 else np.arange(len(lags)) == camera
+                start = lags
+                for change in range(-span, span + 1, step):
+                    trial = start + change * moving
+                    if np.abs(trial).max() <= streams.reach and cost(trial) < cost(lags):
+                        lags = trial
             improving = not np.array_equal(before, lags)
         if step == 1:
             return lags

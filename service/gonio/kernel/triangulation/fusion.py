@@ -17,6 +17,7 @@ from numba import njit
 from gonio.kernel.body.tree import Array
 from gonio.kernel.optimize.banded import factorise, invert_within, substitute
 from gonio.kernel.parallel import over_blocks
+from gonio.kernel.smoothing.filters import median_filter
 from gonio.records import FILLED, MEASURED, MISSING, LabPoints, record
 
 SIGMA_PX = 6.0
@@ -27,6 +28,12 @@ SCALES_M = (0.15, 0.10, 0.07, 0.05, 0.04, 0.03, 0.03, 0.03)
 
 BAND = 12  # three coordinates a frame, coupled with the three frames before: 3 · 3 + 3
 LOWEST_INFORMATION = 1e-6  # 1/m²: a track without any observation stays where it started
+
+AGREE_M = 0.05
+"""A camera agrees with a point that it misses by less: the narrowest loss above then leaves it a quarter of its weight."""
+
+JUMP_M, JUMP_TAPS, JUMP_STEP_S = 0.15, 11, 0.05
+"""A point that is so far from the median of the half second around it is no start: outliers last for up to a third of one."""
 
 LONGEST_SPAN_S = 0.2
 """Observations that are farther apart leave a gap: the track between them would be invented."""
@@ -60,16 +67,17 @@ def fuse(
         projections: ``K [R|t]`` of each camera.
         focal_px: Mean focal length of each camera.
         uv_px: Undistorted observations; NaN is missing.
-        confidence: Their weights; 0 is missing.
-        start: Points to start from, as triangulated frame by frame; NaN is filled by straight lines.
+        confidence: Theirs; an observation weighs by its square, as in ``robust`` triangulation; 0 is missing.
+        start: Points to start from, as triangulated frame by frame. NaN is filled by straight lines, and so is what only
+            half of the cameras support, or what jumps: there the rest of the track decides which cameras are right.
         rate_hz: Of the frames.
         cutoff_hz: Where the penalty begins to win over the observations of one camera: about the bandwidth of the track.
 
     A keypoint that was triangulated in fewer than two frames is NaN.
     """
     frames, keypoints = confidence.shape[1:]
-    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
-    xyz = _filled(start)
+    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0) ** 2
+    xyz = _filled(_plausible(start, projections, focal_px, uv_px, weight, rate_hz))
     depth_m = np.einsum("ci,fki->cfk", projections[:, 2, :3], xyz) + projections[:, 2, 3, None, None]
     px_per_m = focal_px[:, None, None] / np.maximum(depth_m, 0.1)
     # One camera's information at the usual distance, spread over three directions, balanced against the penalty at cutoff.
@@ -116,6 +124,33 @@ def _span_frames(observed: np.ndarray) -> Float[np.ndarray, "frame keypoint"]:
     before = np.maximum.accumulate(np.where(observed, frames, -np.inf), axis=0)
     after = np.minimum.accumulate(np.where(observed, frames, np.inf)[::-1], axis=0)[::-1]
     return after - before
+
+
+def _plausible(
+    start: Float[np.ndarray, "frame keypoint 3"],
+    projections: Float[np.ndarray, "camera 3 4"],
+    focal_px: Float[np.ndarray, " camera"],
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"],
+    weight: Float[np.ndarray, "camera frame keypoint"],
+    rate_hz: float,
+) -> Float[np.ndarray, "frame keypoint 3"]:
+    """Leave out of a start what may be an outlier's explanation, unless that is most of the track.
+
+    Two cameras that err together can be as consistent as the two that don't; then a single frame can't tell who is right.
+    """
+    agreeing, seeing = np.zeros(start.shape[:2]), (weight > 0).sum(axis=0)
+    for P, focal, uv, used in zip(projections, focal_px, uv_px, weight, strict=True):
+        homogeneous = start @ P[:, :3].T + P[:, 3]
+        miss_px = np.linalg.norm(uv - homogeneous[..., :2] / homogeneous[..., 2:], axis=-1)
+        agreeing += (used > 0) & (miss_px * homogeneous[..., 2] < AGREE_M * focal)
+    kept = np.where((agreeing > seeing / 2)[..., None], start, np.nan)
+    step = max(1, round(JUMP_STEP_S * rate_hz))
+    for phase in range(step):
+        points = kept[phase::step]
+        away = np.linalg.norm(points - median_filter(points, JUMP_TAPS), axis=-1)
+        points[away > JUMP_M] = np.nan
+    few = np.isfinite(kept[..., 0]).sum(axis=0) < np.isfinite(start[..., 0]).sum(axis=0) / 2
+    return np.where(few[:, None], start, kept)
 
 
 def _filled(start: Float[np.ndarray, "frame keypoint 3"]) -> Float[np.ndarray, "frame keypoint 3"]:
