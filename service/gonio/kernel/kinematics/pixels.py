@@ -33,6 +33,7 @@ from gonio.kernel.kinematics.pixel_system import (
     shared_covariance,
     step,
 )
+from gonio.kernel.smoothing.correlation import repeats
 from gonio.records import NOT_CONVERGED, SOLVED, TOO_FEW_MARKERS, BodyModel, Motion, Rig, record
 
 MIN_CONFIDENCE = 0.3
@@ -217,7 +218,7 @@ def _repeat(trial: Trial, state: State, sigma_px: Float[np.ndarray, " camera"]) 
     weight = np.where(trial.confidence > 0, 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2), 0.0)[..., None]
     whitened -= (weight * whitened).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     inlier = ((whitened**2).sum(axis=-1) < LOSS**2) & (trial.confidence > 0)
-    return residual_correlation_frames(whitened, inlier)
+    return repeats(whitened, inlier)
 
 
 def _part(trial: Trial, frames: Int[np.ndarray, " chosen"]) -> Trial:
@@ -356,7 +357,7 @@ def _believe(solved: _Solved) -> _Belief:
     whitened = equations.data.error_px * (trial.confidence / solved.sigma_px[:, None, None])[..., None]
     weight = 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2)
     seen = trial.confidence > 0
-    repeat = residual_correlation_frames(whitened, (weight > 0.5) & seen)
+    repeat = repeats(whitened, (weight > 0.5) & seen)
     data_share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * repeat)
     return _Belief(repeat, data_share, shared_covariance(trial, equations, data_share))
 
@@ -424,25 +425,6 @@ def _blind(seen: Bool[np.ndarray, " frame"], times_s: Float[np.ndarray, " frame"
     span_s = np.full(len(seen), np.inf)
     span_s[inner] = at_s[after[inner]] - at_s[after[inner] - 1]
     return ~seen & (span_s > LONGEST_BLIND_S + 1e-6)
-
-
-def residual_correlation_frames(
-    whitened: Float[np.ndarray, "camera frame marker 2"], inlier: Bool[np.ndarray, "camera frame marker"]
-) -> float:
-    """Give by how many frames inlying residuals repeat each other: 1 + 2 Σ ρ(lag), up to the first ρ below 0.05."""
-    values = np.where(inlier[..., None], whitened, 0.0)
-    counts = inlier.astype(float)
-    variance = (values**2).sum() / max(2 * counts.sum(), 1.0)
-    total = 1.0
-    for lag in range(1, whitened.shape[1] // 4):
-        pairs = (counts[:, lag:] * counts[:, :-lag]).sum()
-        if pairs == 0 or variance == 0:
-            break
-        rho = (values[:, lag:] * values[:, :-lag]).sum() / (2 * pairs * variance)
-        if rho < 0.05:
-            break
-        total += 2 * float(rho)
-    return total
 
 
 def loss_efficiency(whitened: Float[np.ndarray, "observation 2"], weight: Float[np.ndarray, " observation"]) -> float:

@@ -17,6 +17,7 @@ from numba import njit
 from gonio.kernel.body.tree import Array
 from gonio.kernel.optimize.banded import factorise, invert_within, substitute
 from gonio.kernel.parallel import over_blocks
+from gonio.kernel.smoothing.correlation import repeats
 from gonio.kernel.smoothing.filters import median_filter
 from gonio.records import FILLED, MEASURED, MISSING, LabPoints, record
 
@@ -35,6 +36,12 @@ AGREE_M = 0.05
 JUMP_M, JUMP_TAPS, JUMP_STEP_S = 0.15, 11, 0.05
 """A point that is so far from the median of the half second around it is no start: outliers last for up to a third of one."""
 
+KEPT = 0.25
+"""A camera counts as having seen a point where the loss leaves it more than this share of its weight."""
+
+MOST_JUDGED = 200
+"""Moments of which it is computed what they would say alone."""
+
 LONGEST_SPAN_S = 0.2
 """Observations that are farther apart leave a gap: the track between them would be invented."""
 
@@ -43,7 +50,8 @@ LONGEST_SPAN_S = 0.2
 class FusedTracks:
     """Tracks in the lab, their covariance, and which observations the loss kept.
 
-    ``covariance_m2`` is the posterior's for independent errors. ``camera_weight`` is 0 to 1, 0 where nothing was observed.
+    ``covariance_m2`` is the posterior's, made as large as the residuals say (:func:`_inflation`). ``camera_weight`` is 0 to 1,
+    0 where nothing was observed.
     """
 
     xyz_lab_m: Float[np.ndarray, "frame keypoint 3"]
@@ -97,7 +105,59 @@ def fuse(
                 xyz[:, k], covariance[:, k], kept[:, :, k] = fused
 
     over_blocks(solve, keypoints, 1)
+    covariance *= _inflation(projections, seen, weight, xyz, covariance, kept)[:, None, None]
     return FusedTracks(xyz_lab_m=xyz, covariance_m2=covariance, camera_weight=kept)
+
+
+def _inflation(
+    projections: Float[np.ndarray, "camera 3 4"],
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"],
+    weight: Float[np.ndarray, "camera frame keypoint"],
+    xyz_lab_m: Float[np.ndarray, "frame keypoint 3"],
+    covariance_m2: Float[np.ndarray, "frame keypoint 3 3"],
+    kept: Float[np.ndarray, "camera frame keypoint"],
+) -> Float[np.ndarray, " keypoint"]:
+    """Give the factor by which each keypoint's posterior covariance is too small, or too large.
+
+    The posterior takes every observation for one of :data:`SIGMA_PX` that errs by itself. The residuals tell how large the
+    errors are, each camera's constant ones included: their level, by keypoint, as the track has drawn off three of each
+    moment's degrees of freedom. They also tell how long errors last: a mean over less than that is no better than one moment.
+    """
+    keypoints = xyz_lab_m.shape[1]
+    chosen = np.arange(0, len(xyz_lab_m), max(1, len(xyz_lab_m) // MOST_JUDGED))
+    homogeneous = np.einsum("cij,fkj->cfki", projections[..., :3], xyz_lab_m) + projections[:, None, None, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = (uv_px - homogeneous[..., :2] / homogeneous[..., 2:]) * np.sqrt(weight)[..., None] / SIGMA_PX
+    inlier = (kept > KEPT) & ((kept > KEPT).sum(axis=0) >= 2)
+    last = repeats(np.where(inlier[..., None], error, 0.0), inlier)
+    factor = np.ones(keypoints)
+    for k in range(keypoints):
+        seen = inlier[..., k]
+        if not seen.any() or not np.isfinite(covariance_m2[:, k]).all():
+            continue
+        cameras = seen.sum() / seen.any(axis=0).sum()
+        # Half of all |e|² of two normals lie below 1.386.
+        level = np.median((error[:, :, k][seen] ** 2).sum(axis=-1)) / 1.386 * 2.0 * cameras / (2.0 * cameras - 3.0)
+        moments = chosen[seen[:, chosen].any(axis=0)]
+        single = _single_moment_m2(projections, homogeneous[:, moments, k], (weight * kept)[:, moments, k])
+        fused = np.trace(covariance_m2[moments, k], axis1=1, axis2=2)
+        factor[k] = level * np.clip(last, 1.0, max(1.0, float(np.median(single / fused)))) if len(moments) else 1.0
+    return factor
+
+
+def _single_moment_m2(
+    projections: Float[np.ndarray, "camera 3 4"],
+    homogeneous: Float[np.ndarray, "camera moment 3"],
+    weight: Float[np.ndarray, "camera moment"],
+) -> Float[np.ndarray, " moment"]:
+    """Give the variance (its trace) that a point would have from one moment's observations alone."""
+    slope = (
+        projections[:, None, :2, :3]
+        - (homogeneous[..., :2] / homogeneous[..., 2:])[..., None] * projections[:, None, 2:, :3]
+    )
+    slope /= homogeneous[..., 2:, None]
+    information = np.einsum("cm,cmai,cmaj->mij", weight / SIGMA_PX**2, slope, slope) + LOWEST_INFORMATION * np.eye(3)
+    return np.trace(np.linalg.inv(information), axis1=1, axis2=2)
 
 
 def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
@@ -107,7 +167,7 @@ def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
     frames that are at most :data:`LONGEST_SPAN_S` apart a track is filled; in a longer span, and before the first and after
     the last observed frame, there is nothing.
     """
-    observed = (tracks.camera_weight > 0.25).sum(axis=0) >= 2
+    observed = (tracks.camera_weight > KEPT).sum(axis=0) >= 2
     lost = _span_frames(observed) > LONGEST_SPAN_S * points.timebase.rate_hz + 1e-6
     origin = np.where(observed, MEASURED, np.where(lost, MISSING, FILLED)).astype(np.uint8)
     return replace(
