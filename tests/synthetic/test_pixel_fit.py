@@ -5,12 +5,14 @@ import pytest
 
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
+from gonio.kernel.kinematics import pixels
 from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.kernel.virtual_lab import PRESETS, film, grow, make_rig, walk
 from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.motion import BodyMotion, fit_motion
 from gonio.pipeline.params import Parameters, Subject
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
+from gonio.pipeline.run import Progress
 from gonio.records import Motion, VirtualTrial
 from gonio.resources import models_dir
 
@@ -27,13 +29,13 @@ def solved() -> list[tuple[VirtualTrial, BodyMotion]]:
     return trials
 
 
-def solve(trial: VirtualTrial) -> BodyMotion:
+def solve(trial: VirtualTrial, on_progress: Progress | None = None) -> BodyMotion:
     chosen = Parameters()
     rig = refine_cameras(trial.points, trial.rig, chosen.reconstruction).value.rig
     raw = reconstruct(trial.points, rig, chosen.reconstruction).value
     points = smooth(trial.points, raw, chosen.reconstruction).value
     body = scale_to_subject(points, Subject(sex="male", mass_kg=trial.walk.body.mass_kg)).value
-    return fit_motion(body, points, trial.points, raw.rig, chosen).value
+    return fit_motion(body, points, trial.points, raw.rig, chosen, on_progress).value
 
 
 def errors_deg(name: str, trial: VirtualTrial, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -74,3 +76,21 @@ def test_the_pelvis_stays_where_its_geometry_puts_it(solved: list[tuple[VirtualT
     for trial, found in solved:
         tilt = np.degrees(found.motion.of("pelvis_tilt") - trial.truth.of("pelvis_tilt"))
         assert abs(tilt.mean()) < 8.0
+
+
+def test_a_long_trial_is_solved_in_windows_and_nobody_sees_the_seams(
+    solved: list[tuple[VirtualTrial, BodyMotion]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial, whole = solved[0]
+    monkeypatch.setattr(pixels, "MOST_SHARED_FRAMES", 50)
+    monkeypatch.setattr(pixels, "WINDOW_FRAMES", 25)
+    monkeypatch.setattr(pixels, "OVERLAP_FRAMES", 10)
+    shares: list[float] = []
+    parted = solve(trial, shares.append)
+    assert not parted.distrusted
+    assert shares == sorted(shares)
+    assert 0 < shares[0] < shares[-1] <= 1.0
+    for angle in find_clinical_angles(whole.model):
+        one, other = clinical_deg(whole.motion, angle), clinical_deg(parted.motion, angle)
+        assert (np.abs(one - other) < 1.96 * clinical_sd_deg(whole.motion, angle)).mean() > 0.97
+        assert np.abs(np.diff(other - one)).max() < 1.0

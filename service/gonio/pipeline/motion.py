@@ -25,7 +25,7 @@ from gonio.pipeline.body import SubjectBody, in_marker_order
 from gonio.pipeline.findings import finding
 from gonio.pipeline.keypoints import look_stride
 from gonio.pipeline.params import Parameters
-from gonio.pipeline.run import Outcome
+from gonio.pipeline.run import Outcome, Progress
 from gonio.records import (
     NOT_CONVERGED,
     TOO_FEW_MARKERS,
@@ -71,7 +71,12 @@ class BodyMotion:
 
 
 def fit_motion(
-    body: SubjectBody, points: LabPoints, keypoints: ImagePoints, rig: Rig, parameters: Parameters
+    body: SubjectBody,
+    points: LabPoints,
+    keypoints: ImagePoints,
+    rig: Rig,
+    parameters: Parameters,
+    progress: Progress | None = None,
 ) -> Outcome[BodyMotion]:
     """Find the joint angles of every frame in both ways, choose, and judge.
 
@@ -81,6 +86,7 @@ def fit_motion(
         keypoints: What the cameras saw, on one clock.
         rig: The cameras, in the same lab.
         parameters: What the request chose.
+        progress: Is told the done share.
     """
     two_step = fit_points(body, points)
     looks = thin(keypoints, look_stride(points.timebase.rate_hz, parameters.keypoints.rate))
@@ -91,7 +97,11 @@ def fit_motion(
     telling = keep_markers(body.model, np.flatnonzero(body.tasks.marker_weights >= LEAST_WEIGHT))
     distance_m = _distances_m(rig, points.xyz_lab_m)
     priors = anchor(make_priors(telling, body.markerset, rig, looks.timebase.rate_hz, distance_m), two_step)
-    fit = _fit_pixels(telling, looks, rig, two_step, priors, parameters.reconstruction.min_confidence)
+    seen = replace(
+        looks,
+        confidence=np.where(looks.confidence >= parameters.reconstruction.min_confidence, looks.confidence, 0.0),
+    )
+    fit = _fit_pixels(telling, seen, rig, two_step, priors, progress)
     reason = distrust(fit, priors)
     if reason:
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=fit, distrusted=reason)
@@ -116,13 +126,12 @@ def fit_points(body: SubjectBody, points: LabPoints) -> Motion:
 
 
 def _fit_pixels(
-    model: BodyModel, keypoints: ImagePoints, rig: Rig, start: Motion, priors: TrialPriors, min_confidence: float
+    model: BodyModel, keypoints: ImagePoints, rig: Rig, start: Motion, priors: TrialPriors, progress: Progress | None
 ) -> PixelFit:
     order = [keypoints.keypoint_names.index(name) for name in model.markers.names]
     uv_px = undistort_rig(rig, keypoints.uv_px)[:, :, order]
-    confidence = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)[:, :, order]
     first = resample(start, keypoints.timebase.times_s(uv_px.shape[1]))
-    return fit_pixels(model, rig, uv_px, confidence, first, priors)
+    return fit_pixels(model, rig, uv_px, keypoints.confidence[:, :, order], first, priors, progress)
 
 
 def _personalise(model: BodyModel, fit: PixelFit) -> BodyModel:

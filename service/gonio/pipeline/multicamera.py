@@ -45,7 +45,7 @@ def analyse(
     raw = runner("triangulation", lambda _: reconstruct(steady, refined.rig, chosen.reconstruction))
     points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
-    motion = runner("kinematics", lambda _: fit_motion(body, points, steady, raw.rig, chosen))
+    motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
 
     analysis = Analysis(
         files=tuple(capture_files),

@@ -131,23 +131,41 @@ def moved(state: State, change: State) -> State:
     )
 
 
-def frame_covariance(
-    trial: Trial, equations: Equations, data_share: float, *, shared: bool
-) -> tuple[Float[np.ndarray, "frame free free"], Float[np.ndarray, " shared"]]:
-    """Give the covariance of each frame's coordinates, what is shared being unknown too, and the shared ones' variances.
+def shared_covariance(trial: Trial, equations: Equations, data_share: float) -> Float[np.ndarray, "shared shared"]:
+    """Give the covariance of what all frames share, their motion being unknown too.
 
     ``data_share`` is what a residual's information is worth, since residuals of neighbouring frames repeat each other.
     """
+    factor = _factorise(trial, equations, data_share, 0.0, shared=True)
+    assert isinstance(factor, BorderedFactor)
+    return factor.border_inverse()
+
+
+def frame_covariance(
+    trial: Trial, equations: Equations, data_share: float, shared: Float[np.ndarray, "shared shared"]
+) -> Float[np.ndarray, "frame free free"]:
+    """Give the covariance of each frame's coordinates, where what the frames share has the covariance ``shared``.
+
+    With the motion q, the shared s, Hessian H of the one and B of both: cov q = H⁻¹ + H⁻¹ B cov(s) Bᵀ H⁻¹.
+    """
     frames, size = equations.prior_gradient.shape
-    factor = _factorise(trial, equations, data_share, 0.0, shared=shared)
-    if isinstance(factor, BorderedFactor):
-        blocks, theta = factor.inverse_diagonal()
-        variance = np.diag(theta)
-    else:
-        blocks, variance = factor.inverse_diagonal(), np.zeros(trial.shared)
+    factor = _factorise(trial, equations, data_share, 0.0, shared=False)
+    assert isinstance(factor, Factor)
+    carried = factor.solve(_border_blocks(equations, data_share))
+    spread = carried @ np.linalg.cholesky(shared)
+    blocks = factor.inverse_diagonal() + spread @ spread.transpose(0, 2, 1)
     by_frame = blocks.reshape(-1, FRAMES_PER_BLOCK, size, FRAMES_PER_BLOCK, size)
     own = np.stack([by_frame[:, i, :, i] for i in range(FRAMES_PER_BLOCK)], axis=1)
-    return own.reshape(-1, size, size)[:frames], variance
+    return own.reshape(-1, size, size)[:frames]
+
+
+def _border_blocks(equations: Equations, data_share: float) -> Float[np.ndarray, "block size shared"]:
+    """Pad the border to whole blocks of frames."""
+    frames, size, shared = equations.data.border.shape
+    blocks = -(-frames // FRAMES_PER_BLOCK)
+    border = np.zeros((blocks * FRAMES_PER_BLOCK, size, shared))
+    border[:frames] = data_share * equations.data.border
+    return border.reshape(blocks, FRAMES_PER_BLOCK * size, shared)
 
 
 def _sum_all(tree: Tree, sight: Sight, layout: Layout, q: np.ndarray, shared: int) -> tuple[Sums, float]:
@@ -280,11 +298,9 @@ def _factorise(
     diagonal[:, whole, whole] += 1e-9
     if not shared:
         return factorise(diagonal, below)
-    border = np.zeros((blocks * FRAMES_PER_BLOCK, size, trial.shared))
-    border[:frames] = data_share * equations.data.border
     corner = data_share * equations.data.corner + equations.prior_corner
     corner[np.diag_indices_from(corner)] *= 1.0 + damping
-    return factorise_bordered(diagonal, below, border.reshape(blocks, FRAMES_PER_BLOCK * size, -1), corner)
+    return factorise_bordered(diagonal, below, _border_blocks(equations, data_share), corner)
 
 
 def _jerk_blocks(trial: Trial, frames: int, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -101,11 +101,10 @@ class BorderedFactor:
         y = solve_triangular(self.schur, y, lower=True, trans="T", check_finite=False)
         return self.inner.solve_upper((own - self.carried @ y)[..., None])[..., 0], y
 
-    def inverse_diagonal(self) -> tuple[Float[np.ndarray, "block size size"], Float[np.ndarray, "shared shared"]]:
-        """Give the diagonal blocks of the inverse: of the frames (what they share being unknown too), and of the border."""
+    def border_inverse(self) -> Float[np.ndarray, "shared shared"]:
+        """Give the border's block of the inverse."""
         own = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True, check_finite=False)
-        spread = self.inner.solve_upper(self.carried) @ own.T
-        return self.inner.inverse_diagonal() + spread @ spread.transpose(0, 2, 1), own.T @ own
+        return own.T @ own
 
 
 def factorise_bordered(

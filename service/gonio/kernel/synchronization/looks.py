@@ -60,12 +60,14 @@ def thin(keypoints: ImagePoints, stride: int) -> ImagePoints:
         for away in sorted(range(-(stride // 2), stride // 2 + 1), key=abs, reverse=True):
             near = np.clip(grid + away, 0, frames - 1)
             source = np.where(looked[near], near, source)
-        first = int(np.argmax(looked)) % keypoints.stride
-        velocity = np.zeros_like(track)
-        velocity[first :: keypoints.stride] = np.nan_to_num(
-            image_velocity(track[None, first :: keypoints.stride], rate_hz / keypoints.stride)[0]
-        )
-        uv_px.append(track[source] + velocity[source] * ((grid - source) / rate_hz)[:, None, None])
+        moved = track[source]
+        if (source != grid).any():
+            first = int(np.argmax(looked)) % keypoints.stride
+            own = image_velocity(track[None, first :: keypoints.stride], rate_hz / keypoints.stride)[0]
+            velocity = np.zeros_like(track)
+            velocity[first :: keypoints.stride] = np.nan_to_num(own)
+            moved = moved + velocity[source] * ((grid - source) / rate_hz)[:, None, None]
+        uv_px.append(moved)
         confidence.append(trust[source])
     return replace(
         keypoints,
