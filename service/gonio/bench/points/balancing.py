@@ -26,6 +26,7 @@ from gonio.errors import GonioError
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.calibration.person import BLOCK_S, refine_on_person
 from gonio.kernel.geometry.cameras import project
+from gonio.kernel.kinematics.resample import resample
 from gonio.kernel.synchronization.delays import estimate_delays
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.reconstruction import camera_bias_px
@@ -75,7 +76,9 @@ def measure_balancing(bench: Bench, build_dir: Path) -> None:
 def _as_fitted(motion: BodyMotion) -> BodyMotion:
     """Give what the fit to the pixels found, even where an analysis would distrust it: it is the fit that is measured."""
     fit = motion.fit
-    return motion if fit is None else replace(motion, motion=fit.motion, model=fit.model)
+    if fit is None:
+        return motion
+    return replace(motion, motion=resample(fit.motion, motion.two_step.times_s), model=fit.model)
 
 
 def _measure_steadiness(
