@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from gonio.formats.calibration_json import calibration_schema
+from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.pipeline.findings import KINDS
 from gonio.pipeline.report_schema import report_schema
 
@@ -20,16 +22,39 @@ def findings_page() -> str:
     ]
     for code, kind in KINDS.items():
         message = kind.message.replace("{where}", "*where*")
-        for value in ("{value:g}", "{value:.0f}", "{value:.1f}"):
+        for value in ("{value:g}", "{value:.0f}", "{value:.1f}", "{value:.2f}"):
             message = message.replace(value, "*value*")
         lines += [f"## `{code}`", "", f"*{kind.severity}, stage {kind.stage}*", "", message, "", kind.hint, ""]
     return "\n".join(lines)
+
+
+def verdict_page() -> str:
+    """Make the page of the criteria that a calibration is judged by."""
+    lines = [
+        "# A calibration's verdict",
+        "",
+        "Every calibration is accepted, accepted with warnings, or rejected: by the worst of these criteria. None of them is",
+        "the error on the pictures that the solution was made from: that number is low for bad calibrations too. Limits in",
+        "pixels are for pictures up to 1280 wide and grow with them.",
+        "",
+        "Made from `gonio/kernel/calibration/verdict.py` by `make reference`.",
+        "",
+        "| criterion | accepted | with a warning | why |",
+        "|---|---|---|---|",
+    ]
+    for name, criterion in CRITERIA.items():
+        sign = "≥" if criterion.at_least else "≤"
+        accept, warn = (f"{sign} {limit:g} {criterion.unit}".strip() for limit in (criterion.accept, criterion.warn))
+        lines.append(f"| `{name}` | {accept} | {'≤ one frame' if name == 'delay_ms' else warn} | {criterion.reason} |")
+    return "\n".join([*lines, ""])
 
 
 def pages() -> dict[Path, str]:
     """Give each generated file with its text."""
     return {
         REFERENCE / "findings.md": findings_page(),
+        REFERENCE / "calibration-verdict.md": verdict_page(),
+        REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "report.schema.json": json.dumps(report_schema(), indent=2, ensure_ascii=False) + "\n",
     }
 

@@ -21,6 +21,8 @@ app = typer.Typer(
 )
 models_app = typer.Typer(help="The keypoint models: list them, fetch their weights.", no_args_is_help=True)
 app.add_typer(models_app, name="models")
+boards_app = typer.Typer(help="Calibration boards: list them, print them, make others.", no_args_is_help=True)
+app.add_typer(boards_app, name="boards")
 console = Console(stderr=True, highlight=False)
 
 
@@ -67,10 +69,10 @@ def serve(
 def worker() -> None:
     """Join the service as one more worker, from this or another machine."""
     from gonio.jobs.worker import run_worker
-    from gonio.pipeline import analyse as river
+    from gonio.pipeline.rivers import RIVERS
     from gonio.settings import Settings
 
-    run_worker(Settings(), river)
+    run_worker(Settings(), RIVERS)
 
 
 @app.command()
@@ -92,6 +94,44 @@ def analyse(
         report = analyse(files, wanted, runner, output or folder / "gonio")
     for line in (*key_lines(load_report(report.document)), stage_lines(runner.seconds), f"Report: {report.page}"):
         print(line)
+
+
+@app.command()
+def calibrate(
+    folder: Annotated[
+        Path, typer.Argument(help="Holds a video of the board a camera, named after it; lenses' own in `intrinsics`.")
+    ],
+    board: Annotated[
+        str, typer.Option(help="One of gonio's boards, or a card's file. [default: a card in FOLDER]")
+    ] = "",
+    optics: Annotated[Path | None, typer.Option(help="A calibration whose lenses are still right.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Where the calibration goes. [default: FOLDER/gonio]")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
+) -> None:
+    """Calibrate cameras from videos of a board, and say whether to trust the result."""
+    from gonio.formats.calibration_json import read_calibration_document
+    from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
+    from gonio.pipeline.calibration_files import find_calibration_files
+    from gonio.pipeline.calibration_report import calibration_key_lines
+    from gonio.pipeline.run import CaptureFile, LocalRunner
+
+    wanted = _read_parameters(parameters) if parameters else {}
+    files = find_calibration_files(folder)
+    if optics is not None:
+        files = [file for file in files if file.role != "optics"]
+        files.append(CaptureFile(path=optics, name=optics.name, role="optics"))
+    if board.endswith(".toml"):
+        files = [file for file in files if file.role != "board"]
+        files.append(CaptureFile(path=Path(board), name=board, role="board"))
+    elif board:
+        wanted["board"] = board
+    with progress_bar(console) as advance:
+        runner = LocalRunner(advance, CALIBRATION_SHARES)
+        written = calibrate(files, wanted, runner, output or folder / "gonio")
+    calibration = read_calibration_document(written.document)
+    for line in (*calibration_key_lines(calibration), stage_lines(runner.seconds), f"Report: {written.page}"):
+        print(line)
+    sys.exit(3 if calibration.verdict.level == "reject" else 0)
 
 
 def _read_parameters(path: Path) -> dict[str, object]:
@@ -194,6 +234,58 @@ def fetch_models(
     from gonio.demo.weights import ensure_models
 
     ensure_models(names or None, from_file or [], console)
+
+
+@boards_app.command("list")
+def list_boards() -> None:
+    """List the boards that gonio ships."""
+    from gonio.formats.board_card import list_board_cards, load_board_card
+    from gonio.pipeline.boards import describe_board
+
+    for card in map(load_board_card, list_board_cards()):
+        print(f"{describe_board(card)}; {card.paper}")
+
+
+@boards_app.command("print")
+def print_boards(
+    names: Annotated[list[str], typer.Argument(help="Boards by name, or cards' files.")],
+    output: Annotated[Path, typer.Option(help="Folder for the PDFs.")] = Path(),
+    tile: Annotated[str | None, typer.Option(help="Cut into pages of this paper: A4, A3 …")] = None,
+) -> None:
+    """Write boards as PDFs of exact size."""
+    from gonio.formats.board_card import load_board_card, read_board_card
+    from gonio.pipeline.boards import paper_named, print_board
+
+    output.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        card = read_board_card(Path(name)) if name.endswith(".toml") else load_board_card(name)
+        path = output / f"{Path(name).stem}.pdf"
+        pages = print_board(card, path, paper_named(tile) if tile else None)
+        print(f"{path}: {pages} page{'' if pages == 1 else 's'}")
+
+
+@boards_app.command("make")
+def make_board(
+    path: Annotated[Path, typer.Argument(help="The card to write (.toml); the PDF goes beside it.")],
+    corners: Annotated[str, typer.Option(help="Inner corners, across × down, such as 8x5.")],
+    square_mm: Annotated[float, typer.Option(help="Side of a square.")],
+    paper: Annotated[str, typer.Option(help="A4, A3, A2, A1 or A0.")] = "A3",
+    dictionary: Annotated[str, typer.Option(help="Markers of a ChArUco board; empty: a checkerboard.")] = "DICT_4X4_50",
+    inverted: Annotated[bool, typer.Option("--inverted", help="White on black.")] = False,
+    tile: Annotated[str | None, typer.Option(help="Cut the PDF into pages of this paper.")] = None,
+) -> None:
+    """Make a board of your own: its card and its PDF."""
+    from gonio.formats.board_card import read_board_card
+    from gonio.pipeline.boards import card_text, paper_named, print_board
+
+    text = card_text(corners, square_mm, paper_named(paper), dictionary, inverted=inverted)
+    path.write_text(text, encoding="utf-8")
+    try:
+        pages = print_board(read_board_card(path), path.with_suffix(".pdf"), paper_named(tile) if tile else None)
+    except GonioError:
+        path.unlink()
+        raise
+    print(f"{path}, {path.with_suffix('.pdf')}: {pages} page{'' if pages == 1 else 's'}")
 
 
 @app.command()

@@ -27,6 +27,12 @@ from gonio.errors import Cancelled, GonioError, InputError, ResourceError
 Document = dict[str, Any]
 """A JSON object of the service, as its OpenAPI page describes it."""
 
+Role = Literal[
+    "video", "calibration", "body_model", "marker_set",
+    "sweep", "lens", "floor", "board", "optics", "floor_points", "previous",
+]  # fmt: skip
+"""What a file is: the first four in a session of a person, the others in a session of kind ``calibration``."""
+
 FINAL_STATES = ("succeeded", "failed", "cancelled")
 
 
@@ -72,12 +78,14 @@ class Client:
     def create_session(
         self,
         *,
-        kind: Literal["human_multicamera"] = "human_multicamera",
+        kind: Literal["human_multicamera", "calibration"] = "human_multicamera",
         name: str = "",
         subject: Mapping[str, float | str] | None = None,
+        calibration: str | None = None,
     ) -> Document:
-        """Create a session; ``subject`` may hold ``mass_kg``, ``stature_m`` and ``sex``."""
-        return self._json("POST", "/v1/sessions", json={"kind": kind, "name": name, "subject": dict(subject or {})})
+        """Create a session; ``subject`` may hold ``mass_kg``, ``stature_m`` and ``sex``, ``calibration`` is an id."""
+        body = {"kind": kind, "name": name, "subject": dict(subject or {}), "calibration": calibration}
+        return self._json("POST", "/v1/sessions", json=body)
 
     def session(self, session_id: str) -> Document:
         """Read a session."""
@@ -96,7 +104,7 @@ class Client:
         session_id: str,
         path: Path,
         *,
-        role: Literal["video", "calibration", "body_model", "marker_set"] | None = None,
+        role: Role | None = None,
         camera: str | None = None,
         name: str | None = None,
         on_progress: Callable[[int, int], None] | None = None,
@@ -125,11 +133,15 @@ class Client:
         session_id: str,
         parameters: Mapping[str, Any] | None = None,
         *,
+        calibration: str | None = None,
         idempotency_key: str | None = None,
     ) -> Document:
-        """Start an analysis and give its job; the same ``idempotency_key`` gives the same job again."""
+        """Start an analysis or a calibration and give its job; the same ``idempotency_key`` gives the same job again.
+
+        ``calibration`` is the id of the calibration to use; in a session of kind ``calibration``, of the one to check.
+        """
         headers = {"Idempotency-Key": idempotency_key} if idempotency_key else {}
-        body = {"parameters": dict(parameters or {})}
+        body = {"parameters": dict(parameters or {}), "calibration": calibration}
         return self._json("POST", f"/v1/sessions/{session_id}/analyses", json=body, headers=headers)
 
     def job(self, job_id: str) -> Document:
@@ -187,11 +199,26 @@ class Client:
         """List a report's files."""
         return self._json("GET", f"/v1/reports/{report_id}/files")["items"]
 
+    def calibration(self, calibration_id: str) -> Document:
+        """Read a calibration: its verdict, findings and files. It has the id of its job."""
+        return self._json("GET", f"/v1/calibrations/{calibration_id}")
+
+    def calibrations(self) -> Iterator[Document]:
+        """Give all calibrations, newest first."""
+        return self._pages("/v1/calibrations")
+
     def download(self, report_id: str, folder: Path) -> list[Path]:
         """Download all files of a report into a folder and give their paths."""
+        return self._save(self.report_files(report_id), folder)
+
+    def download_calibration(self, calibration_id: str, folder: Path) -> list[Path]:
+        """Download all files of a calibration into a folder and give their paths."""
+        return self._save(self.calibration(calibration_id)["files"], folder)
+
+    def _save(self, files: list[Document], folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         paths: list[Path] = []
-        for file in self.report_files(report_id):
+        for file in files:
             path = folder / Path(file["name"]).name
             with self._told(), self._http.stream("GET", file["url"]) as response, path.open("wb") as out:
                 _raise_for_problem(response)

@@ -1,5 +1,7 @@
 """A worker with a small river: real stages that read the files, compute, take their time, and fail on request.
 
+Calibrations it computes with gonio's own river.
+
 Run as a process: ``python worker_main.py``. What its stages do is written to the file ``parameters["journal"]``.
 """
 
@@ -16,7 +18,8 @@ from jaxtyping import Float
 
 from gonio.errors import CaptureError
 from gonio.jobs.worker import run_worker
-from gonio.pipeline.run import CaptureFile, Outcome, Progress, ReportFiles, StageRunner
+from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
+from gonio.pipeline.run import CaptureFile, Outcome, Progress, ReportFiles, River, StageRunner
 from gonio.records import Finding, record
 from gonio.settings import Settings
 
@@ -31,7 +34,7 @@ class Brightness:
     mean: Float[np.ndarray, " frame"]
 
 
-class River:
+class Course:
     def __init__(self, parameters: Mapping[str, Any], output_dir: Path) -> None:
         self.parameters = parameters
         self.output_dir = output_dir
@@ -78,7 +81,7 @@ def brightness(file: CaptureFile) -> Brightness:
 def analyse(
     capture_files: Sequence[CaptureFile], parameters: Mapping[str, Any], runner: StageRunner, output_dir: Path
 ) -> ReportFiles:
-    river = River(parameters, output_dir)
+    river = Course(parameters, output_dir)
     seconds = float(parameters.get("seconds", 0.1))
     videos = [file for file in capture_files if file.role == "video"]
     names = runner("capture", river.stage("capture", 0, lambda: tuple(file.name for file in capture_files)))
@@ -116,4 +119,5 @@ def analyse(
 
 if __name__ == "__main__":
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    run_worker(Settings(), analyse, shares=SHARES, supervisor_pid=int(supervisor) if supervisor else None)
+    rivers = {"human_multicamera": River(analyse, SHARES), "calibration": River(calibrate, CALIBRATION_SHARES)}
+    run_worker(Settings(), rivers, supervisor_pid=int(supervisor) if supervisor else None)

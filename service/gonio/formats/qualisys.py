@@ -1,10 +1,11 @@
-"""Read a Qualisys calibration (``.qca.txt``): an XML file in millimetres, Z up, with cameras that look along -z.
+"""Read and write Qualisys calibrations (``.qca.txt``): an XML file in millimetres, Z up, with cameras that look along -z.
 
 What the file means, as measured on real recordings: focal lengths and principal points are in 1/64 pixel; the distortion
 coefficients are OpenCV's, not divided by anything; the rows of ``transform``'s rotation are the camera's axes in the lab
 in the order right, up, backward; the translation is the optical centre.
 """
 
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,7 @@ def _camera(element: etree._Element, file: str) -> Camera:
     T_qualisys_cam[:3, :3] = (
         np.diag([1.0, -1.0, -1.0]) @ axes_in_qualisys
     ).T  # right, up, back -> right, down, forward
-    T_qualisys_cam[:3, 3] = [number("transform", axis) / 1000.0 for axis in "xyz"]
+    T_qualisys_cam[:3, 3] = [_metres(element, number("transform", axis), axis) for axis in "xyz"]
     return Camera(
         name=name,
         image_size_px=(
@@ -97,3 +98,47 @@ def _camera(element: etree._Element, file: str) -> Camera:
         ),
         T_lab_cam=T_LAB_QUALISYS @ T_qualisys_cam,
     )
+
+
+def write_qualisys_calibration(path: Path, rig: Rig) -> None:
+    """Write a calibration that Qualisys' readers understand, Pose2Sim's among them. Reading it back is exact."""
+    root = etree.Element("calibration", source=rig.source, type="regular")
+    cameras = etree.SubElement(root, "cameras")
+    for camera in rig.cameras:
+        element = etree.SubElement(cameras, "camera", active="1", model="none", serial=camera.name, viewrotation="0")
+        right, bottom = (size - 1 for size in camera.image_size_px)
+        for field in ("fov_marker", "fov_marker_max", "fov_video", "fov_video_max"):
+            etree.SubElement(element, field, left="0", top="0", right=str(right), bottom=str(bottom))
+        etree.SubElement(element, "transform", _transform_attributes(camera))
+        etree.SubElement(element, "intrinsic", _intrinsic_attributes(camera))
+    path.write_bytes(etree.tostring(root, pretty_print=True, xml_declaration=True, encoding="UTF-8"))
+
+
+def _transform_attributes(camera: Camera) -> dict[str, str]:
+    T_qualisys_cam = T_LAB_QUALISYS.T @ camera.T_lab_cam
+    axes = np.diag([1.0, -1.0, -1.0]) @ T_qualisys_cam[:3, :3].T  # right, down, forward -> right, up, back
+    rotation = {f"r{row + 1}{column + 1}": repr(float(axes[row, column])) for row in range(3) for column in range(3)}
+    # Decimal: a thousand times a number and a thousandth of that need not be the number again.
+    place = {axis: str(Decimal(repr(float(t))) * 1000) for axis, t in zip("xyz", T_qualisys_cam[:3, 3], strict=True)}
+    return rotation | place
+
+
+def _intrinsic_attributes(camera: Camera) -> dict[str, str]:
+    K = camera.intrinsic_px * SUBPIXELS
+    k1, k2, p1, p2, k3 = camera.distortion
+    width, height = camera.image_size_px
+    values = {
+        "focalLengthU": K[0, 0], "focalLengthV": K[1, 1], "centerPointU": K[0, 2], "centerPointV": K[1, 2],
+        "skew": K[0, 1], "radialDistortion1": k1, "radialDistortion2": k2, "radialDistortion3": k3,
+        "tangentalDistortion1": p1, "tangentalDistortion2": p2, "sensorMinU": 0.0, "sensorMinV": 0.0,
+        "sensorMaxU": (width - 1) * SUBPIXELS, "sensorMaxV": (height - 1) * SUBPIXELS,
+    }  # fmt: skip
+    return {name: repr(float(value)) for name, value in values.items()}
+
+
+def _metres(element: etree._Element, millimetres: float, axis: str) -> float:
+    """Divide by a thousand in decimals, as the writer multiplied."""
+    try:
+        return float(Decimal(element.find("transform").get(axis).strip()) / 1000)  # pyright: ignore[reportOptionalMemberAccess]
+    except InvalidOperation:  # Python reads some numbers as floats that are no decimals: 1_0
+        return millimetres / 1000.0

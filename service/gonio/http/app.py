@@ -16,7 +16,7 @@ from starlette.types import ASGIApp
 from gonio.errors import GonioError
 from gonio.http import problems
 from gonio.http.middleware import Envelope
-from gonio.http.routes import analyses, files, jobs, meta, reports, sessions
+from gonio.http.routes import analyses, calibrations, files, jobs, meta, reports, sessions
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
@@ -32,6 +32,9 @@ A gait laboratory: upload the videos of a capture and their calibration, start a
   J=$(curl -s -X POST $G/sessions/$S/analyses | jq -r .id)
   curl $G/jobs/$J
   curl $G/reports/$J
+
+Cameras are calibrated by a session of kind "calibration": upload each camera's video of a board (role=sweep) and the board's
+card, start it, and read its verdict at calibrations/$J; later sessions name it as "calibration".
 
 Every answer that is no success is a problem document (application/problem+json) with a code, a detail
 and a hint.
@@ -89,6 +92,6 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(GonioError, problems.of_gonio_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
-    for module in (sessions, files, analyses, jobs, reports, meta):
+    for module in (sessions, files, analyses, jobs, reports, calibrations, meta):
         app.include_router(module.router)
     return app

@@ -49,6 +49,12 @@ KINDS: Mapping[str, Kind] = {
     "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
     # files
     "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
+    "role-wrong": Kind(422, "Role wrong", "A session of this kind has no files of that role."),
+    "camera-missing": Kind(422, "Camera missing", "A photograph's camera must be named."),
+    "image-empty": Kind(422, "Picture empty", "The picture has no content."),
+    "image-unreadable": Kind(422, "Picture unreadable", "The picture can't be decoded, or is smaller than 16 pixels."),
+    "board-card-unreadable": Kind(422, "Board's card unreadable", "An entry of the card is missing, unknown or wrong."),
+    "floor-points-unreadable": Kind(422, "Floor points unreadable", "The detail names the point and what is wrong."),
     "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
@@ -66,6 +72,8 @@ KINDS: Mapping[str, Kind] = {
     "calibration-incomplete": Kind(422, "Calibration incomplete", "A camera of the calibration lacks a value."),
     # analyses and jobs
     "calibration-missing": Kind(409, "Calibration missing", "An analysis needs the calibration of its cameras."),
+    "calibration-ambiguous": Kind(422, "Calibration ambiguous", "There are several calibrations; which one is meant?"),
+    "too-few-cameras": Kind(409, "Too few cameras", "A rig is calibrated from the videos of two cameras or more."),
     "too-few-videos": Kind(409, "Too few videos", "A point needs two cameras to be seen in space."),
     "session-busy": Kind(409, "Session busy", "What an analysis reads can't be deleted while it runs."),
     "idempotency-key-reused": Kind(422, "Idempotency key reused", "A key stands for one analysis, for ever."),

@@ -3,14 +3,16 @@
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Any, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar, cast
+from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_validator
 
 from gonio.http.problems import entry_of
 from gonio.jobs.service import JobView
-from gonio.jobs.tables import FileRow, JobState, ReportRow, SessionRow
-from gonio.pipeline.run import Role
+from gonio.jobs.tables import CalibrationRow, FileRow, JobState, ReportRow, SessionRow
+from gonio.pipeline.run import Role, SessionKind
+from gonio.records import LabSource, Level, Severity
 
 T = TypeVar("T")
 
@@ -45,20 +47,30 @@ class SessionIn(_In):
         }
     )
 
-    kind: Literal["human_multicamera"] = Field(description="A person filmed by several synchronized cameras.")
+    kind: SessionKind = Field(
+        description="`human_multicamera`: a person filmed by several synchronized cameras. `calibration`: a board filmed by "
+        "them, from which they are calibrated."
+    )
     name: str = Field(default="", max_length=200, pattern=PRINTABLE, description="For people; need not be unique.")
     subject: Subject = Field(
         default=Subject(), description="The person: mass_kg, stature_m, sex; each may be left out."
     )
 
+    calibration: UUID | None = Field(
+        default=None,
+        description="The calibration of these cameras, for all analyses that name no other; with kind `calibration`, the "
+        "earlier one that is checked.",
+    )
+
 
 class SessionOut(BaseModel):
-    """A capture session."""
+    """A session."""
 
     id: str
     kind: str
     name: str
     subject: Subject
+    calibration: str | None
     created_at: Time
 
     @classmethod
@@ -69,6 +81,7 @@ class SessionOut(BaseModel):
             kind=row.kind,
             name=row.name,
             subject=Subject(**row.subject),
+            calibration=row.calibration_id,
             created_at=row.created_at,
         )
 
@@ -110,11 +123,12 @@ class FileFields(_In):
 
 
 class AnalysisIn(_In):
-    """An analysis to start."""
+    """An analysis or a calibration to start."""
 
     model_config = ConfigDict(json_schema_extra={"example": {"parameters": {}}})
 
     parameters: dict[str, Any] = Field(default_factory=dict, description="What differs from the defaults.")
+    calibration: UUID | None = Field(default=None, description="The calibration to use in place of the session's.")
 
     @field_validator("parameters")
     @classmethod
@@ -162,7 +176,7 @@ class StageOut(BaseModel):
 
 
 class JobOut(BaseModel):
-    """An analysis on its way."""
+    """An analysis or a calibration on its way."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -173,6 +187,7 @@ class JobOut(BaseModel):
                 "progress": {"stage": "keypoints", "fraction": 0.42, "remaining_s": 96.0},
                 "problem": None,
                 "report": None,
+                "calibration": None,
                 "stages": [],
                 "created_at": "2026-11-25T09:00:00Z",
                 "started_at": "2026-11-25T09:00:00.4Z",
@@ -187,6 +202,9 @@ class JobOut(BaseModel):
     progress: ProgressOut | None = Field(description="While it is being computed.")
     problem: JobProblem | None = Field(description="When it failed.")
     report: str | None = Field(description="Where its report is, when it succeeded.")
+    calibration: str | None = Field(
+        description="Where its calibration is, when it succeeded in a session of that kind."
+    )
     stages: list[StageOut] = Field(description="The wall time of each stage, when it succeeded.")
     created_at: Time
     started_at: Time | None
@@ -196,13 +214,15 @@ class JobOut(BaseModel):
     def of(cls, view: JobView) -> Self:
         """Show a job."""
         row = view.row
+        done, calibrates = row.state == JobState.SUCCEEDED, row.kind == "calibration"
         return cls(
             id=row.id,
             session=row.session_id,
             state=JobState(row.state),
             progress=ProgressOut(**view.progress) if view.progress else None,
             problem=JobProblem.of(row.problem) if row.problem else None,
-            report=f"/v1/reports/{row.id}" if row.state == JobState.SUCCEEDED else None,
+            report=f"/v1/reports/{row.id}" if done and not calibrates else None,
+            calibration=f"/v1/calibrations/{row.id}" if done and calibrates else None,
             stages=[StageOut(**stage) for stage in row.stages],
             created_at=row.created_at,
             started_at=row.started_at,
@@ -210,28 +230,72 @@ class JobOut(BaseModel):
         )
 
 
-class ReportFileOut(BaseModel):
-    """A file of a report."""
+class ResultFileOut(BaseModel):
+    """A file of a report or of a calibration."""
 
     name: str
-    kind: str = Field(description="`document` is the JSON, `page` the HTML; `other` is for further work: TRC, MOT.")
+    kind: str = Field(description="`document` is the JSON, `page` the HTML; `other` is for other programs.")
     size: int
     sha256: str
     url: str
 
     @classmethod
-    def list_of(cls, row: ReportRow) -> list[Self]:
-        """Show the files of a report."""
+    def list_of(cls, row: ReportRow | CalibrationRow) -> list[Self]:
+        """Show the files of a result."""
+        resource = "reports" if isinstance(row, ReportRow) else "calibrations"
         return [
             cls(
                 name=file["name"],
                 kind=file["kind"],
                 size=file["size"],
                 sha256=file["sha256"],
-                url=f"/v1/reports/{row.id}/files/{file['name']}",
+                url=f"/v1/{resource}/{row.id}/files/{file['name']}",
             )
             for file in row.files
         ]
+
+
+class FindingOut(BaseModel):
+    """Something to know about a result, in words, and what to do about it."""
+
+    code: str
+    severity: Severity
+    stage: str
+    message: str
+    hint: str
+    where: str
+    value: float | None
+    unit: str
+
+
+class CalibrationOut(BaseModel):
+    """A calibrated rig, and whether it can be trusted."""
+
+    id: str
+    session: str
+    name: str
+    verdict: Level = Field(description="`reject`: don't use it; an analysis that does says so in its report.")
+    cameras: list[str]
+    left_out: list[str] = Field(description="Cameras that never saw the board together with the others.")
+    board: str
+    lab_source: LabSource = Field(description="What told where up, forward and the floor are; `cameras` is a guess.")
+    volume_error_mm: float | None = Field(description="Error to expect of a point in the covered volume (rms).")
+    findings: list[FindingOut]
+    files: list[ResultFileOut]
+    created_at: Time
+
+    @classmethod
+    def of(cls, row: CalibrationRow) -> Self:
+        """Show a calibration."""
+        return cls(
+            id=row.id,
+            session=row.session_id,
+            name=row.name,
+            verdict=cast("Level", row.level),
+            files=ResultFileOut.list_of(row),
+            created_at=row.created_at,
+            **row.summary,
+        )
 
 
 class ListOf(BaseModel, Generic[T]):

@@ -6,11 +6,12 @@ from typing import get_args
 from urllib.parse import unquote
 
 from gonio.errors import InputError
-from gonio.pipeline.run import Role
+from gonio.pipeline.run import CalibrationRole, Role, TrialRole
 
 MAX_BYTES = 255
 """The longest file name that the usual file systems take."""
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".webm", ".wmv")
+IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 CALIBRATIONS = (".toml", ".xml", ".txt", ".json", ".yaml", ".yml", ".calib")
 
 
@@ -31,24 +32,56 @@ def check_file_name(name: str) -> None:
             )
 
 
-def guess_role(name: str) -> Role:
-    """Tell from its name what a file is.
+ROLES: dict[str, tuple[Role, ...]] = {
+    "human_multicamera": get_args(TrialRole),
+    "calibration": get_args(CalibrationRole),
+}
+"""What the files of each kind of session may be."""
+
+
+def guess_role(name: str, kind: str) -> Role:
+    """Tell from its name what a file is in a session of some kind.
 
     Raises:
         InputError: ``role-unknown``.
     """
     suffix = PurePath(name).suffix.lower()
-    if suffix in VIDEOS:
+    if kind == "calibration":
+        if suffix in VIDEOS + IMAGES:
+            return "sweep"
+        if suffix == ".toml" and PurePath(name).stem.lower() in ("board", "charuco", "checkerboard"):
+            return "board"
+    elif suffix in VIDEOS:
         return "video"
-    if suffix in CALIBRATIONS:
+    elif suffix in CALIBRATIONS:
         return "calibration"
-    if suffix == ".osim":
+    elif suffix == ".osim":
         return "body_model"
     raise InputError(
         f"The name {name!r} doesn't tell what the file is.",
-        hint=f"Send the form field `role`: one of {', '.join(get_args(Role))}.",
+        hint=f"Send the form field `role`: one of {', '.join(ROLES[kind])}.",
         code="role-unknown",
     )
+
+
+def check_role(role: Role, name: str, kind: str, camera: str | None) -> None:
+    """Refuse a file that a session of its kind has no use for.
+
+    Raises:
+        InputError: ``role-wrong``, or ``camera-missing`` for a photograph of nobody knows which camera.
+    """
+    if role not in ROLES[kind]:
+        raise InputError(
+            f"A session of kind {kind} has no files of role {role}.",
+            hint=f"Its files are: {', '.join(ROLES[kind])}.",
+            code="role-wrong",
+        )
+    if PurePath(name).suffix.lower() in IMAGES and camera is None:
+        raise InputError(
+            f"It is not known which camera took the photograph {name}.",
+            hint="Send the form field `camera` with its name.",
+            code="camera-missing",
+        )
 
 
 def _fault(name: str) -> str | None:

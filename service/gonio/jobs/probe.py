@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gonio.jobs.filenames import IMAGES
 from gonio.pipeline.run import Role
 
 Probe = Callable[[Path, Role], dict[str, Any]]
@@ -16,7 +17,12 @@ Raises a GonioError that names the file and the remedy.
 def probe_file(path: Path, role: Role) -> dict[str, Any]:
     """Look into a file with gonio's own readers."""
     # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
-    if role == "video":
+    if role in ("sweep", "lens", "floor") and path.suffix.lower() in IMAGES:
+        from gonio.vision.stills import read_grey
+
+        height, width = read_grey(path).shape
+        return {"width_px": width, "height_px": height}
+    if role in ("video", "sweep", "lens", "floor"):
         from gonio.vision.video import probe_video
 
         info = probe_video(path)
@@ -38,6 +44,25 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
 
         card = read_markerset(path)
         return {"marker_set": card.name, "keypoints": list(card.keypoint_names)}
+    if role in ("board", "optics", "floor_points", "previous"):
+        return _probe_calibration_input(path, role)
     from gonio.formats.calibration import read_calibration
 
     return {"cameras": list(read_calibration(path).names)}
+
+
+def _probe_calibration_input(path: Path, role: Role) -> dict[str, Any]:
+    from gonio.formats.board_card import read_board_card
+    from gonio.formats.calibration import read_intrinsics
+    from gonio.formats.calibration_json import read_calibration_document
+    from gonio.formats.floor_points import read_floor_points
+
+    if role == "board":
+        board = read_board_card(path).board
+        return {"board": board.name, "inner_corners": [board.corners_across, board.corners_down]}
+    if role == "floor_points":
+        return {"points": list(read_floor_points(path, None).names)}
+    if role == "previous":
+        earlier = read_calibration_document(path)
+        return {"cameras": list(earlier.rig.names), "verdict": earlier.verdict.level}
+    return {"cameras": [optics.camera_name for optics in read_intrinsics(path)]}

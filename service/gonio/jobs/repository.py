@@ -8,11 +8,17 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from gonio.errors import InputError
-from gonio.jobs.tables import ACTIVE, FileRow, JobRow, JobState, ReportRow, Row, SessionRow
+from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, Row, SessionRow
 
 R = TypeVar("R", bound=Row)
 
-_NOUNS: dict[type[Row], str] = {SessionRow: "session", FileRow: "file", JobRow: "job", ReportRow: "report"}
+_NOUNS: dict[type[Row], str] = {
+    SessionRow: "session",
+    FileRow: "file",
+    JobRow: "job",
+    ReportRow: "report",
+    CalibrationRow: "calibration",
+}
 
 
 class Place(NamedTuple):
@@ -69,10 +75,10 @@ class Repository:
         return self._page(JobRow, limit, after)
 
     def active_jobs(self, session_id: str) -> Sequence[JobRow]:
-        """List the jobs of a session that haven't ended."""
-        return self._db.scalars(
-            self._select(JobRow).where(JobRow.session_id == session_id, JobRow.state.in_(ACTIVE))
-        ).all()
+        """List the jobs that haven't ended and read a session's files, or a calibration that it gave."""
+        made_here = sa.select(CalibrationRow.id).where(CalibrationRow.session_id == session_id)
+        reads = sa.or_(JobRow.session_id == session_id, JobRow.calibration_id.in_(made_here))
+        return self._db.scalars(self._select(JobRow).where(reads, JobRow.state.in_(ACTIVE))).all()
 
     def jobs_of(self, session_id: str) -> Sequence[JobRow]:
         """List all jobs of a session."""
@@ -85,6 +91,14 @@ class Repository:
     def reports(self, limit: int, after: Place | None = None) -> Sequence[ReportRow]:
         """List reports, newest first."""
         return self._page(ReportRow, limit, after)
+
+    def calibration(self, calibration_id: str) -> CalibrationRow:
+        """Give a calibration, or raise ``not-found``."""
+        return self._one(CalibrationRow, CalibrationRow.id == calibration_id)
+
+    def calibrations(self, limit: int, after: Place | None = None) -> Sequence[CalibrationRow]:
+        """List calibrations, newest first."""
+        return self._page(CalibrationRow, limit, after)
 
     def delete(self, row: Row) -> None:
         """Delete a row and, with a session, all that belongs to it."""

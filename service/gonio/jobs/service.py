@@ -13,13 +13,13 @@ from sqlalchemy.exc import IntegrityError
 
 from gonio.errors import CaptureError, InputError
 from gonio.jobs.database import Database
-from gonio.jobs.filenames import guess_role
+from gonio.jobs.filenames import check_role, guess_role
 from gonio.jobs.probe import Probe
 from gonio.jobs.repository import Place, Repository
 from gonio.jobs.runner import PROGRESS
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
-from gonio.jobs.tables import ACTIVE, FileRow, JobRow, JobState, ReportRow, SessionRow, now
+from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
 from gonio.jobs.workflow import APPLICATION, QUEUE, WORKFLOW, session_prefix
 from gonio.pipeline.run import Role
 from gonio.settings import Settings
@@ -64,10 +64,14 @@ class Service:
             session.execute(sa.text("SELECT 1"))
         self.spool.check_room(0)
 
-    def create_session(self, lab: str, *, kind: str, name: str, subject: dict[str, Any]) -> SessionRow:
-        """Create a session."""
-        row = SessionRow(id=str(uuid4()), kind=kind, name=name, subject=subject)
+    def create_session(
+        self, lab: str, *, kind: str, name: str, subject: dict[str, Any], calibration_id: str | None = None
+    ) -> SessionRow:
+        """Create a session; ``calibration_id`` names the calibration of its cameras, where there is one already."""
+        row = SessionRow(id=str(uuid4()), kind=kind, name=name, subject=subject, calibration_id=calibration_id)
         with self._repository(lab) as repository:
+            if calibration_id is not None:
+                repository.calibration(calibration_id)
             repository.add(row)
         return row
 
@@ -82,10 +86,10 @@ class Service:
             return repository.sessions(limit, after)
 
     def delete_session(self, lab: str, session_id: str) -> None:
-        """Delete a session with its files, jobs and reports, and everything that was computed from it.
+        """Delete a session with its files, jobs and reports or calibrations, and everything that was computed from it.
 
         Raises:
-            CaptureError: ``session-busy`` while an analysis of it runs.
+            CaptureError: ``session-busy`` while an analysis runs that reads it, or a calibration that it gave.
         """
         with self._repository(lab) as repository:
             row = repository.session(session_id)
@@ -102,11 +106,13 @@ class Service:
         """Accept a file that was received whole, and tell whether it is new: the same file twice is one file.
 
         Raises:
-            InputError: Its content can't be read (the probe's code), or ``file-exists`` with other content.
+            InputError: Its content can't be read (the probe's code), ``file-exists`` with other content, ``role-unknown``,
+                ``role-wrong`` or ``camera-missing``.
         """
-        role = role or guess_role(incoming.name)
         with self._reading(lab) as repository:
-            repository.session(session_id)
+            kind = repository.session(session_id).kind
+            role = role or guess_role(incoming.name, kind)
+            check_role(role, incoming.name, kind, camera)
             known = repository.file_named(session_id, incoming.name)
         if known is not None:
             return _same_file(known, incoming, role, camera), False
@@ -165,30 +171,47 @@ class Service:
         self._store.delete(row.key)
 
     def enqueue(
-        self, lab: str, session_id: str, parameters: dict[str, Any], idempotency_key: str | None = None
+        self,
+        lab: str,
+        session_id: str,
+        parameters: dict[str, Any],
+        idempotency_key: str | None = None,
+        calibration_id: str | None = None,
     ) -> tuple[JobRow, bool]:
         """Queue an analysis of a session's present files, and tell whether it is new: a key gives one job for ever.
 
+        ``calibration_id`` names the calibration to use, in place of the session's own; in a session of kind
+        ``calibration`` it is the one to check.
+
         Raises:
-            CaptureError: ``calibration-missing`` or ``too-few-videos``.
-            InputError: ``idempotency-key-reused`` if the key's job was another one.
+            CaptureError: ``calibration-missing``, ``too-few-videos`` or ``too-few-cameras``.
+            InputError: ``idempotency-key-reused`` if the key's job was another one; ``calibration-ambiguous``.
         """
         job_id = str(uuid4()) if idempotency_key is None else str(uuid5(NAMESPACE_URL, f"{lab}/{idempotency_key}"))
         with self._database.write() as session:
             repository = Repository(session, lab)
-            subject = repository.session(session_id).subject
-            wanted = {**parameters, "subject": {**subject, **parameters.get("subject", {})}}
+            owner = repository.session(session_id)
+            calibration_id = calibration_id or owner.calibration_id
+            wanted = parameters
+            if owner.kind != "calibration":
+                wanted = {**parameters, "subject": {**owner.subject, **parameters.get("subject", {})}}
             known = repository.find_job(job_id)
             if known is not None:
-                return _same_job(known, session_id, wanted), False
-            files = repository.files(session_id)
-            _refuse_when_incomplete(files)
+                return _same_job(known, session_id, wanted, calibration_id), False
+            files = [
+                {"name": f.name, "role": f.role, "camera": f.camera, "key": f.key} for f in repository.files(session_id)
+            ]
+            if calibration_id is not None:
+                files.append(_as_file(repository.calibration(calibration_id), owner.kind))
+            _refuse_when_incomplete(files, owner.kind)
             row = JobRow(
                 id=job_id,
                 session_id=session_id,
+                kind=owner.kind,
+                calibration_id=calibration_id,
                 state=JobState.TODO,
                 parameters=wanted,
-                files=[{"name": f.name, "role": f.role, "camera": f.camera, "key": f.key} for f in files],
+                files=files,
             )
             repository.add(row)
             # In the same transaction: there is no job without its queue entry, and no entry without its job.
@@ -231,6 +254,16 @@ class Service:
         with self._reading(lab) as repository:
             return repository.reports(limit, after)
 
+    def calibration(self, lab: str, calibration_id: str) -> CalibrationRow:
+        """Give a calibration."""
+        with self._reading(lab) as repository:
+            return repository.calibration(calibration_id)
+
+    def calibrations(self, lab: str, limit: int, after: Place | None = None) -> Sequence[CalibrationRow]:
+        """List calibrations, newest first."""
+        with self._reading(lab) as repository:
+            return repository.calibrations(limit, after)
+
     @contextmanager
     def content(self, key: str) -> Generator[Path]:
         """Give a local file with the content of a file or report, for as long as the block lasts."""
@@ -263,8 +296,19 @@ def _same_file(known: FileRow, incoming: Incoming, role: Role, camera: str | Non
     )
 
 
-def _same_job(known: JobRow, session_id: str, parameters: dict[str, Any]) -> JobRow:
-    if (known.session_id, known.parameters) == (session_id, parameters):
+def _as_file(row: CalibrationRow, kind: str) -> dict[str, Any]:
+    """Give a calibration's document as a file of a job: what it computes with, or what it checks."""
+    document = next(file for file in row.files if file["kind"] == "document")
+    return {
+        "name": f"calibration-{row.id}.json",
+        "role": "previous" if kind == "calibration" else "calibration",
+        "camera": None,
+        "key": document["key"],
+    }
+
+
+def _same_job(known: JobRow, session_id: str, parameters: dict[str, Any], calibration_id: str | None) -> JobRow:
+    if (known.session_id, known.parameters, known.calibration_id) == (session_id, parameters, calibration_id):
         return known
     raise InputError(
         "This Idempotency-Key was already used for another analysis.",
@@ -278,19 +322,29 @@ def _refuse_when_busy(repository: Repository, session_id: str) -> None:
     jobs = repository.active_jobs(session_id)
     if jobs:
         raise CaptureError(
-            "An analysis of this session is waiting or running.",
+            "An analysis that reads this session is waiting or running.",
             hint="Wait for its end, or cancel it first.",
             code="session-busy",
             jobs=[job.id for job in jobs],
         )
 
 
-def _refuse_when_incomplete(files: Sequence[FileRow]) -> None:
-    videos = sum(file.role == "video" for file in files)
-    if not any(file.role == "calibration" for file in files):
+def _refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> None:
+    calibrations = [file["name"] for file in files if file["role"] in ("calibration", "previous")]
+    if len(calibrations) > 1:
+        raise InputError(
+            f"There are {len(calibrations)} calibrations: {', '.join(calibrations)}.",
+            hint="Delete the uploaded one, or name none in the request.",
+            code="calibration-ambiguous",
+        )
+    if kind == "calibration":
+        _refuse_without_sweep(files)
+        return
+    videos = sum(file["role"] == "video" for file in files)
+    if not calibrations:
         raise CaptureError(
             "The session has no calibration.",
-            hint="Upload the calibration of its cameras, then start the analysis again.",
+            hint="Name one of GET /v1/calibrations, or upload that of its cameras; then start the analysis again.",
             code="calibration-missing",
         )
     if videos < 2:
@@ -299,4 +353,14 @@ def _refuse_when_incomplete(files: Sequence[FileRow]) -> None:
             hint="Upload the videos of at least two calibrated cameras, then start the analysis again.",
             code="too-few-videos",
             videos=videos,
+        )
+
+
+def _refuse_without_sweep(files: Sequence[Mapping[str, Any]]) -> None:
+    cameras = {file["camera"] or file["name"] for file in files if file["role"] == "sweep"}
+    if len(cameras) < 2:
+        raise CaptureError(
+            f"The board was filmed by {'no camera' if not cameras else 'one camera'}; a rig has two or more.",
+            hint="Upload each camera's video of the board, filmed at the same time, with role=sweep.",
+            code="too-few-cameras",
         )

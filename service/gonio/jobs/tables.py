@@ -47,7 +47,7 @@ class Row(DeclarativeBase):
 
 
 class SessionRow(Row):
-    """A capture session: one person, filmed once."""
+    """A session: one person filmed once, or a board filmed to calibrate the cameras."""
 
     __tablename__ = "sessions"
     __table_args__ = (Index(None, "lab", "created_at"),)
@@ -55,6 +55,7 @@ class SessionRow(Row):
     kind: Mapped[str] = mapped_column(String(32))
     name: Mapped[str]
     subject: Mapped[dict[str, Any]]
+    calibration_id: Mapped[str | None] = mapped_column(String(36))  # what its analyses use if they name no other
 
 
 class FileRow(Row):
@@ -80,6 +81,8 @@ class JobRow(Row):
     __table_args__ = (Index(None, "lab", "created_at"), Index(None, "session_id", "state"))
 
     session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id", ondelete="CASCADE"))
+    kind: Mapped[str] = mapped_column(String(32), server_default="human_multicamera")  # its session's
+    calibration_id: Mapped[str | None] = mapped_column(String(36))  # may not be deleted while the job runs
     state: Mapped[str] = mapped_column(String(16))
     parameters: Mapped[dict[str, Any]]
     files: Mapped[list[dict[str, Any]]]  # the session's files when the analysis was asked for: name, role, camera, key
@@ -89,6 +92,19 @@ class JobRow(Row):
     ended_at: Mapped[datetime | None]
     takeovers: Mapped[int] = mapped_column(default=0)  # how often a worker died over it since it last got on
     steps_at_takeover: Mapped[int] = mapped_column(default=0)
+
+
+class CalibrationRow(Row):
+    """A calibrated rig: the result of a calibration's job, whose id it shares."""
+
+    __tablename__ = "calibrations"
+    __table_args__ = (Index(None, "lab", "created_at"),)
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id", ondelete="CASCADE"))
+    name: Mapped[str]
+    level: Mapped[str] = mapped_column(String(16))  # the verdict
+    summary: Mapped[dict[str, Any]]  # cameras, lab, findings: what a list shows without opening the document
+    files: Mapped[list[dict[str, Any]]]  # as a report's
 
 
 class ReportRow(Row):

@@ -20,7 +20,7 @@ from gonio.jobs.liveness import Locks
 from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs
 from gonio.jobs.store import Store
 from gonio.jobs.workflow import APPLICATION, QUEUE, VERSION, Workshop, end_badly, register
-from gonio.pipeline.run import STAGE_SHARES, Analyse
+from gonio.pipeline.run import River
 from gonio.settings import Settings
 
 log = logging.getLogger("gonio.jobs.worker")  # by name: run as a module, this one is __main__
@@ -35,17 +35,15 @@ MAX_TAKEOVERS = 3
 
 def run_worker(
     settings: Settings,
-    analyse: Analyse,
+    rivers: Mapping[str, River],
     *,
-    shares: Mapping[str, float] = STAGE_SHARES,
     supervisor_pid: int | None = None,
 ) -> None:
     """Work until SIGTERM or SIGINT; a job that is under way then goes on with another worker, or with the next one.
 
     Args:
         settings: Where the database and the store are.
-        analyse: The river: ``gonio.pipeline.analyse``.
-        shares: The shares of its stages in the wall time.
+        rivers: What it computes, by the kind of session: ``gonio.pipeline.rivers.RIVERS``.
         supervisor_pid: The process that started this one, if the worker must not outlive it.
     """
     if supervisor_pid is not None:
@@ -58,7 +56,7 @@ def run_worker(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, ask_to_stop)
     upgrade(settings)
-    worker = Worker(settings, analyse, shares)
+    worker = Worker(settings, rivers)
     with worker.alive():
         status = 1
         try:
@@ -78,7 +76,7 @@ def run_worker(
 class Worker:
     """One worker. Its name is new at each start, so that a name whose lock is free belongs to a dead one for good."""
 
-    def __init__(self, settings: Settings, analyse: Analyse, shares: Mapping[str, float]) -> None:
+    def __init__(self, settings: Settings, rivers: Mapping[str, River]) -> None:
         self.name = f"worker-{uuid4().hex[:12]}"
         self._url = settings.resolved_database_url
         self._locks = Locks(settings.data_dir / "locks")
@@ -87,8 +85,7 @@ class Worker:
             database=Database(self._url),
             store=Store.open(settings.resolved_objects_url),
             folder=self._folders / self.name,
-            analyse=analyse,
-            shares=shares,
+            rivers=rivers,
         )
 
     def alive(self) -> ExitStack:
@@ -190,13 +187,13 @@ def _crash_problem(count: int) -> Problem:
 
 
 def main() -> None:
-    """Run a worker with the settings of the environment and the river of this version."""
+    """Run a worker with the settings of the environment and the rivers of this version."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    # In here, since importing the river takes seconds that nobody else needs to wait for.
-    from gonio.pipeline import analyse
+    # In here, since importing the rivers takes seconds that nobody else needs to wait for.
+    from gonio.pipeline.rivers import RIVERS
 
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    run_worker(Settings(), analyse, supervisor_pid=int(supervisor) if supervisor else None)
+    run_worker(Settings(), RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
 
 
 if __name__ == "__main__":

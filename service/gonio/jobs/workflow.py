@@ -1,23 +1,25 @@
 """The DBOS workflow ``analyse``: take a job, run the river with durable stages, publish its report, exactly once."""
 
 import logging
+import math
 import shutil
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 from uuid import uuid4
 
 from dbos import DBOS
 
+from gonio.formats.calibration_json import read_calibration_document
 from gonio.jobs.database import Database
 from gonio.jobs.failure import Problem, describe
 from gonio.jobs.repository import Repository
 from gonio.jobs.runner import DurableRunner
 from gonio.jobs.store import Store
-from gonio.jobs.tables import ACTIVE, JobRow, JobState, ReportRow, now
-from gonio.pipeline.run import Analyse, CaptureFile, ReportFiles, Role
+from gonio.jobs.tables import ACTIVE, CalibrationRow, JobRow, JobState, ReportRow, now
+from gonio.pipeline.run import CaptureFile, ReportFiles, River, Role
 
 log = logging.getLogger(__name__)
 
@@ -31,13 +33,12 @@ a stage is added, removed or moved, and only then, or each deployment would stra
 
 @dataclass(frozen=True, kw_only=True)
 class Workshop:
-    """What a worker works with; ``shares`` are the stages' shares of the wall time in ``analyse``."""
+    """What a worker works with; ``rivers`` are what it computes, by the kind of session."""
 
     database: Database
     store: Store
     folder: Path
-    analyse: Analyse
-    shares: Mapping[str, float]
+    rivers: Mapping[str, River]
 
 
 def session_prefix(lab: str, session_id: str) -> str:
@@ -78,10 +79,11 @@ class Analysis:
     def _analyse(self, plan: dict[str, Any]) -> None:
         with self._workplace(plan["files"]) as (folder, files):
             prefix = f"{session_prefix(self._lab, plan['session_id'])}/jobs/{self._job_id}"
-            runner = DurableRunner(self._workshop.store, prefix, folder, self._workshop.shares)
-            report = self._workshop.analyse(files, plan["parameters"], runner, folder / "output")
+            river = self._workshop.rivers[plan["kind"]]
+            runner = DurableRunner(self._workshop.store, prefix, folder, river.shares)
+            result = river.compute(files, plan["parameters"], runner, folder / "output")
             stages = [{"name": stage, "seconds": seconds} for stage, seconds in runner.seconds.items()]
-            DBOS.run_step({"name": "publish"}, self._publish, plan["session_id"], prefix, report, stages)
+            DBOS.run_step({"name": "publish"}, self._publish, plan, prefix, result, stages)
 
     @contextmanager
     def _workplace(self, files: list[dict[str, Any]]) -> Generator[tuple[Path, list[CaptureFile]]]:
@@ -106,31 +108,54 @@ class Analysis:
             if not repository.change_job(self._job_id, ACTIVE, state=JobState.DOING, started_at=now()):
                 return None
             job: JobRow = repository.job(self._job_id)
-            return {"session_id": job.session_id, "parameters": job.parameters, "files": job.files}
+            return {
+                "session_id": job.session_id, "kind": job.kind, "parameters": job.parameters, "files": job.files
+            }  # fmt: skip
 
-    def _publish(self, session_id: str, prefix: str, report: ReportFiles, stages: list[dict[str, Any]]) -> bool:
-        """Store the report and end the job, if it is still this job's turn; may safely run twice."""
+    def _publish(self, plan: dict[str, Any], prefix: str, result: ReportFiles, stages: list[dict[str, Any]]) -> bool:
+        """Store the result and end the job, if it is still this job's turn; may safely run twice."""
         files: list[dict[str, Any]] = []
         for kind, path in (
-            ("document", report.document),
-            ("page", report.page),
-            *(("other", path) for path in report.others),
+            ("document", result.document),
+            ("page", result.page),
+            *(("other", path) for path in result.others),
         ):
             stored = self._workshop.store.put_file(f"{prefix}/report", path.name, path)
             files.append({"name": path.name, "kind": kind, **stored._asdict()})
+        values = summarize_calibration(result.document) if plan["kind"] == "calibration" else None
         with self._workshop.database.write() as session:
             repository = Repository(session, self._lab)
             ended = repository.change_job(
                 self._job_id, [JobState.DOING], state=JobState.SUCCEEDED, ended_at=now(), stages=stages
             )
             if ended:
-                repository.add(ReportRow(id=self._job_id, session_id=session_id, files=files))
+                common = {"id": self._job_id, "session_id": plan["session_id"], "files": files}
+                name = repository.session(plan["session_id"]).name
+                row = ReportRow(**common) if values is None else CalibrationRow(name=name, **common, **values)
+                repository.add(row)
         return ended
 
     def _fail(self, problem: Problem) -> bool:
         log.warning("Job %s failed: %s", self._job_id, problem["code"])
         with self._workshop.database.write() as session:
             return end_badly(Repository(session, self._lab), self._job_id, problem)
+
+
+def summarize_calibration(document: Path) -> dict[str, Any]:
+    """Give what the list of calibrations shows of one: columns of its row."""
+    calibration = read_calibration_document(document)
+    error_m = calibration.volume.error_m
+    return {
+        "level": calibration.verdict.level,
+        "summary": {
+            "board": calibration.board,
+            "cameras": list(calibration.rig.names),
+            "left_out": list(calibration.left_out),
+            "lab_source": calibration.lab.source,
+            "volume_error_mm": None if math.isnan(error_m) else 1000 * error_m,
+            "findings": [asdict(finding) for finding in calibration.findings],
+        },
+    }
 
 
 def end_badly(repository: Repository, job_id: str, problem: Problem) -> bool:

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.errors import CaptureError, InputError
-from gonio.formats.calibration import read_calibration
+from gonio.formats.calibration import read_calibration, read_own_calibration
 from gonio.pipeline.findings import finding
 from gonio.pipeline.run import CaptureFile, Outcome
-from gonio.records import Camera, Capture, Finding, Rig, Timebase, View
+from gonio.records import Calibration, Camera, Capture, Finding, Rig, Timebase, View
 from gonio.vision.video import VideoInfo, probe_video
 
 EDGE_PX = 16
@@ -38,7 +38,19 @@ def read_rig(files: Sequence[CaptureFile]) -> Outcome[Rig]:
             hint="Delete all but the one that belongs to this recording.",
             code="calibration-ambiguous",
         )
-    return Outcome(replace(read_calibration(calibrations[0].path), source=calibrations[0].name))
+    path, name = calibrations[0].path, calibrations[0].name
+    return Outcome(replace(read_calibration(path), source=name), judge_calibration(read_own_calibration(path)))
+
+
+def judge_calibration(calibration: Calibration | None) -> tuple[Finding, ...]:
+    """Pass on what a calibration's own verdict said (None: a file of another program, which has none)."""
+    if calibration is None or calibration.verdict.level == "accept":
+        return ()
+    wanted = "serious" if calibration.verdict.level == "reject" else "warning"
+    reasons = " ".join(found.message for found in calibration.findings if found.severity == wanted)
+    if wanted == "serious":
+        return (finding("calibration-rejected", where=reasons),)
+    return (finding("calibration-doubtful", where=reasons),)
 
 
 def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:

@@ -20,6 +20,196 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
+    "board-layout": Kind(
+        "info",
+        "boards",
+        "The board has the other layout of ChArUco boards than its card says (that of OpenCV before 4.6, or since); it was "
+        "found all the same.",
+        "Turn legacy_pattern round in the card.",
+    ),
+    "lens-from-session": Kind(
+        "warning",
+        "lenses",
+        "The lens of camera {where} was calibrated from this recording itself, in which the board is small and far: its "
+        "focal length is known to {value:.1f} %.",
+        "Film the board with this camera alone, close, filling the picture, tilted in all directions; give it as its lens.",
+        "%",
+    ),
+    "lens-few-views": Kind(
+        "warning",
+        "lenses",
+        "The lens of camera {where} was calibrated from {value:g} pictures of the board.",
+        "Film it for half a minute: 20 to 30 different views make a lens.",
+        "pictures",
+    ),
+    "lab-guessed": Kind(
+        "warning",
+        "lab",
+        "Nothing says where the floor and the walkway are: up is taken from how the cameras stand, which may be off by 5°, "
+        "and forward from the first camera.",
+        "Lay the board on the floor, its rows along the walkway, and film it with all cameras; or name points on the floor.",
+    ),
+    "lab-misfit": Kind(
+        "warning",
+        "lab",
+        "What says where the lab is disagrees with itself by {value:.0f} mm.",
+        "Check the places of the floor points, or that the board lay flat and still.",
+        "mm",
+    ),
+    "camera-moved": Kind(
+        "serious",
+        "comparison",
+        "Camera {where} no longer stands where the earlier calibration has it: its picture of the board is off by "
+        "{value:.1f} px.",
+        "Use this new calibration instead of the earlier one, if it is accepted; fix the tripod.",
+        "px",
+    ),
+    "cameras-steady": Kind(
+        "info",
+        "comparison",
+        "All cameras stand where the earlier calibration has them: their pictures of the board are off by {value:.2f} px "
+        "at most.",
+        "Go on with the earlier calibration.",
+        "px",
+    ),
+    "camera-not-checked": Kind(
+        "warning",
+        "comparison",
+        "Camera {where} is part of the earlier calibration, but did not see the board together with the others: whether it "
+        "moved is not known.",
+        "Film the board with this camera too.",
+    ),
+    "calibration-rejected": Kind(
+        "serious",
+        "calibration",
+        "The calibration of these cameras was rejected when it was made ({where}).",
+        "Calibrate again; until then, trust no angle and no distance.",
+    ),
+    "calibration-doubtful": Kind(
+        "warning",
+        "calibration",
+        "The calibration of these cameras was accepted with warnings ({where}).",
+        "Read the calibration's own page: it says what to film next time.",
+    ),
+    "scale-unverified": Kind(
+        "info",
+        "verdict",
+        "No second length was given, so nothing checks the size of the board's squares: everything scales with it.",
+        "Measure the distance between two lenses or two marks on the floor with a tape, and give it.",
+    ),
+    "camera-unconnected": Kind(
+        "serious",
+        "verdict",
+        "Camera {where} never saw the board together with the others, so it is not part of the calibration.",
+        "Film the board where this camera's picture overlaps with another one's, ten times or more.",
+    ),
+    "calibration-unverified": Kind(
+        "serious",
+        "verdict",
+        "The recording is too short to be checked: neither half of it can be solved alone.",
+        "Film the board for longer, seen by two neighbouring cameras at a time: half a minute for each pair.",
+    ),
+    "calibration-inexact": Kind(
+        "warning",
+        "verdict",
+        "In pictures that were not used, the cameras miss the board's corners by {value:.2f} px in the median.",
+        "Light the room, move the board slowly, use a short exposure, and check that the board is flat.",
+        "px",
+    ),
+    "calibration-biased": Kind(
+        "warning",
+        "verdict",
+        "In pictures that were not used, camera {where} sees the board's corners {value:.2f} px beside where the others do.",
+        "Calibrate this camera's lens again; check its tripod and that it runs synchronously.",
+        "px",
+    ),
+    "squares-wrong": Kind(
+        "warning",
+        "verdict",
+        "The board's squares are measured {value:.2f} % too long or too short in pictures that were not used.",
+        "Calibrate the lenses from recordings of their own; measure a square of the board again.",
+        "%",
+    ),
+    "board-stretched": Kind(
+        "warning",
+        "verdict",
+        "The board's squares are {value:.2f} % longer one way than the other: the print is stretched, or the board is bent.",
+        "Print the board again without fitting it to the page, check both directions with a ruler, and mount it flat.",
+        "%",
+    ),
+    "baselines-unsure": Kind(
+        "warning",
+        "verdict",
+        "The distances between the cameras differ by {value:.2f} % between the two halves of the recording.",
+        "Calibrate the lenses from recordings of their own, and take the board through the whole volume.",
+        "%",
+    ),
+    "board-views-few": Kind(
+        "warning",
+        "verdict",
+        "Camera {where} saw the board in {value:g} pictures.",
+        "Film the board in front of this camera for ten seconds.",
+        "pictures",
+    ),
+    "cameras-share-few": Kind(
+        "warning",
+        "verdict",
+        "Cameras {where} saw the board together in {value:g} pictures only.",
+        "Film the board for ten seconds where these two pictures overlap.",
+        "pictures",
+    ),
+    "lens-not-tilted": Kind(
+        "warning",
+        "verdict",
+        "The lens of camera {where} was calibrated from {value:g} pictures with a tilted board: held parallel to the picture, "
+        "a board can't tell near from far.",
+        "Film the board with this camera again, tilted by 20° to 50° to the left, the right, up and down.",
+        "pictures",
+    ),
+    "focal-length-unsure": Kind(
+        "warning",
+        "verdict",
+        "The focal length of camera {where} is known to {value:.1f} % only: every distance from it is.",
+        "Calibrate its lens from a recording of its own: the board close, filling the picture, tilted in all directions.",
+        "%",
+    ),
+    "lens-changed": Kind(
+        "warning",
+        "verdict",
+        "The focal length that was given for camera {where} is {value:.1f} standard deviations from what this recording says.",
+        "Was the zoom, the focus, the video mode or the camera changed? Calibrate its lens again.",
+        "sd",
+    ),
+    "camera-late": Kind(
+        "warning",
+        "verdict",
+        "Camera {where} shows another instant than the first camera, by {value:.0f} ms. Less than a frame is measured and "
+        "taken out; more is not to be trusted.",
+        "Start the cameras by a common trigger; the calibration says by how much each is late or early.",
+        "ms",
+    ),
+    "camera-bumped": Kind(
+        "warning",
+        "verdict",
+        "Camera {where} moved while the board was filmed: its early and its late pictures contradict each other.",
+        "Fix its tripod, keep away from it, and film the board again.",
+        "sd",
+    ),
+    "board-not-reached": Kind(
+        "warning",
+        "verdict",
+        "The board never reached {where}.",
+        "Film it there for ten seconds: where no corner was seen, the lens is guessed.",
+        "corners",
+    ),
+    "scale-wrong": Kind(
+        "warning",
+        "verdict",
+        "The length {where} differs from its measured one by {value:.2f} %: the board's squares are not as large as its card "
+        "says, or the length is not.",
+        "Measure a row of squares and the length again.",
+        "%",
+    ),
     "camera-without-video": Kind(
         "warning",
         "capture",

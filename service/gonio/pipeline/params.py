@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from gonio.errors import InputError
+
+T = TypeVar("T")
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -102,7 +104,40 @@ class Parameters:
     kinematics: KinematicsParameters = field(default_factory=KinematicsParameters)
 
 
+@dataclass(frozen=True, config=_STRICT)
+class KnownLengthParameter:
+    """A length that was measured by hand, between two cameras' lenses or two floor points: it checks the scale."""
+
+    first: Annotated[str, Field(min_length=1, description="A camera, or a floor point.")]
+    second: Annotated[str, Field(min_length=1, description="Another one of the same kind.")]
+    metres: Annotated[float, Field(gt=0.05, lt=200)]
+
+
+@dataclass(frozen=True, config=_STRICT)
+class CalibrationParameters:
+    """All that a request may choose for a calibration."""
+
+    board: Annotated[str, Field(description="One of gonio's boards by name; empty: a card is among the files.")] = ""
+    method: Annotated[
+        Literal["tree", "chain"],
+        Field(
+            description="How the cameras are put together before the bundle adjustment: over the most reliable pairs, or "
+            "from neighbour to neighbour (1-2, 2-3, 3-4)."
+        ),
+    ] = "tree"
+    floor_frame: Annotated[
+        int | None,
+        Field(ge=0, description="A frame of the sweep in which the board lies still on the floor: it is the lab."),
+    ] = None
+    board_thickness_mm: Annotated[float, Field(ge=0, le=100, description="How far the print is above the floor.")] = 0.0
+    known_lengths: tuple[KnownLengthParameter, ...] = ()
+    pictures_per_s: Annotated[
+        float, Field(gt=0.2, le=60, description="So many pictures a second are searched for the board.")
+    ] = 10.0
+
+
 _ADAPTER: TypeAdapter[Parameters] = TypeAdapter(Parameters)
+_CALIBRATION_ADAPTER: TypeAdapter[CalibrationParameters] = TypeAdapter(CalibrationParameters)
 
 
 def parse_parameters(values: Mapping[str, Any]) -> Parameters:
@@ -111,8 +146,21 @@ def parse_parameters(values: Mapping[str, Any]) -> Parameters:
     Raises:
         InputError: ``parameter-invalid``; the message names each wrong field and what it may be.
     """
+    return _parse(_ADAPTER, values)
+
+
+def parse_calibration_parameters(values: Mapping[str, Any]) -> CalibrationParameters:
+    """Check the parameters of a calibration and fill in the defaults.
+
+    Raises:
+        InputError: ``parameter-invalid``; the message names each wrong field and what it may be.
+    """
+    return _parse(_CALIBRATION_ADAPTER, values)
+
+
+def _parse(adapter: TypeAdapter[T], values: Mapping[str, Any]) -> T:
     try:
-        return _ADAPTER.validate_python(dict(values))
+        return adapter.validate_python(dict(values))
     except ValidationError as error:
         wrong = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors(include_url=False))
         raise InputError(
@@ -130,3 +178,8 @@ def parameters_document(parameters: Parameters) -> dict[str, Any]:
 def parameters_schema() -> dict[str, Any]:
     """Give the JSON schema of the parameters."""
     return _ADAPTER.json_schema()
+
+
+def calibration_parameters_schema() -> dict[str, Any]:
+    """Give the JSON schema of a calibration's parameters."""
+    return _CALIBRATION_ADAPTER.json_schema()

@@ -16,7 +16,15 @@ from gonio.records import Finding
 
 T = TypeVar("T")
 
-Role = Literal["video", "calibration", "body_model", "marker_set"]
+SessionKind = Literal["human_multicamera", "calibration"]
+
+TrialRole = Literal["video", "calibration", "body_model", "marker_set"]
+CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_points", "previous"]
+"""``sweep``: all cameras film the board at the same time. ``lens``: one camera films it alone, close. ``floor``: it lies on
+the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points,
+``previous`` gonio's calibration of the same cameras, which is checked."""
+
+Role = Literal[TrialRole, CalibrationRole]
 
 STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
@@ -55,7 +63,7 @@ class CaptureFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportFiles:
-    """What an analysis wrote into its output folder; ``others`` are the files for further work (TRC, MOT)."""
+    """What an analysis or a calibration wrote into its output folder; ``others`` are the files for other programs."""
 
     document: Path
     page: Path
@@ -74,7 +82,10 @@ class Progress(Protocol):
     """Says how far a stage is. May raise ``Cancelled``, or whatever else its runner stops a stage with: let it pass."""
 
     def __call__(self, fraction: float) -> None:
-        """Report the done fraction of the stage, 0 to 1; at least twice a second in a long stage, more is free."""
+        """Report the done fraction of the stage, 0 to 1; at least twice a second in a long stage, more is free.
+
+        In the thread that runs the stage: a runner may know no other.
+        """
         ...
 
 
@@ -96,7 +107,7 @@ class StageRunner(Protocol):
 
 
 class Analyse(Protocol):
-    """The signature of ``gonio.pipeline.analyse``, which a job calls."""
+    """The signature of ``gonio.pipeline.analyse`` and of ``gonio.pipeline.calibration.calibrate``, which jobs call."""
 
     def __call__(
         self,
@@ -111,6 +122,14 @@ class Analyse(Protocol):
         (``mass_kg``, ``stature_m``, ``sex``: each may be missing).
         """
         ...
+
+
+@dataclass(frozen=True)
+class River:
+    """What a job of one kind of session runs; ``shares`` are its stages' shares of the wall time, in order."""
+
+    compute: Analyse
+    shares: Mapping[str, float]
 
 
 class Estimate:

@@ -1,5 +1,6 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
+from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
     FIXED,
     GROUND,
@@ -18,9 +19,21 @@ from gonio.records.body import (
     Motion,
     Tasks,
 )
+from gonio.records.calibration import (
+    UNKNOWNS,
+    Calibration,
+    Judgement,
+    LabFrame,
+    LabSource,
+    Level,
+    RigCheck,
+    Verdict,
+    Volume,
+)
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.pressure import FootPressure, VirtualPressure
@@ -38,6 +51,7 @@ __all__ = [
     "FIXED",
     "GROUND",
     "HIDDEN",
+    "INTRINSIC_NAMES",
     "MEASURED",
     "MISSING",
     "NOT_CONVERGED",
@@ -50,8 +64,13 @@ __all__ = [
     "SOLVED",
     "SWAPPED",
     "TOO_FEW_MARKERS",
+    "UNKNOWNS",
+    "Board",
+    "BoardTrack",
+    "BoardViews",
     "Bodies",
     "BodyModel",
+    "Calibration",
     "Camera",
     "Capture",
     "CoordinatePrior",
@@ -61,21 +80,30 @@ __all__ = [
     "FootPressure",
     "Functions",
     "ImagePoints",
+    "Intrinsics",
     "JointTree",
+    "Judgement",
+    "LabFrame",
     "LabPoints",
+    "LabSource",
+    "LensModel",
+    "Level",
     "MarkerSet",
     "Markers",
     "Measurement",
     "Motion",
     "Rig",
+    "RigCheck",
     "Severity",
     "Steps",
     "Tasks",
     "Timebase",
+    "Verdict",
     "View",
     "VirtualBoard",
     "VirtualPressure",
     "VirtualTrial",
+    "Volume",
     "Walk",
     "WalkTruth",
     "record",

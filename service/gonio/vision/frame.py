@@ -128,6 +128,10 @@ class Frame:
         rgb = self._to_rgb(planes, (0.0, 255.0))
         return np.rot90(np.rint(rgb).astype(np.uint8), -self.rotation_deg // 90).copy()
 
+    def luma(self) -> UInt8[np.ndarray, "height width"]:
+        """Give the picture's luma as it is viewed: the grey picture that detectors of patterns work on."""
+        return np.ascontiguousarray(np.rot90(self.planes[0], -self.rotation_deg // 90))
+
     def _to_rgb(
         self, planes: Sequence[np.ndarray], value_range: tuple[float, float]
     ) -> Float32[np.ndarray, "height width 3"]:

@@ -20,7 +20,9 @@ router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"
         "malformed-body",
         "body-too-large",
         "calibration-missing",
+        "calibration-ambiguous",
         "too-few-videos",
+        "too-few-cameras",
         "idempotency-key-reused",
     ),
 )
@@ -35,9 +37,10 @@ def start_analysis(
         Header(min_length=1, max_length=200, pattern=PRINTABLE, description="The same key gives the same job again."),
     ] = None,
 ) -> JobOut:
-    """Analyse the files that the session has now; `Location` is the job to ask for its end."""
-    parameters = body.parameters if body is not None else {}
-    row, _ = service.enqueue(lab, session_id, parameters, idempotency_key)
+    """Analyse the files that the session has now, or calibrate from them; `Location` is the job to ask for its end."""
+    asked = body if body is not None else AnalysisIn()
+    calibration = str(asked.calibration) if asked.calibration is not None else None
+    row, _ = service.enqueue(lab, session_id, asked.parameters, idempotency_key, calibration)
     response.headers["Location"] = f"/v1/jobs/{row.id}"
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return JobOut.of(service.job(lab, row.id))

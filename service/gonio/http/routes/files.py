@@ -41,7 +41,7 @@ _FORM = {
                         "camera": {
                             "type": "string",
                             "maxLength": 100,
-                            "description": "A video's camera in the calibration; without it, the analysis finds it.",
+                            "description": "A video's or a photograph's camera; without it, a video's name tells it.",
                         },
                     },
                 }
@@ -65,6 +65,8 @@ _FORM = {
             "unsupported-media-type",
             "bad-file-name",
             "role-unknown",
+            "role-wrong",
+            "camera-missing",
             "file-missing",
             "not-a-video",
             "no-video-stream",
@@ -75,6 +77,10 @@ _FORM = {
             "calibration-format-unknown",
             "calibration-unreadable",
             "calibration-incomplete",
+            "image-empty",
+            "image-unreadable",
+            "board-card-unreadable",
+            "floor-points-unreadable",
             "file-exists",
             "file-too-large",
             "disk-full",

@@ -44,7 +44,11 @@ def show_overview(service: TheService, lab: CurrentLab) -> str:
     """Show the newest sessions, jobs and reports."""
     jobs = [JobOut.of(view) for view in service.jobs(lab, NEWEST)]
     return pages.render(
-        "overview.html", sessions=service.sessions(lab, NEWEST), jobs=jobs, reports=service.reports(lab, NEWEST)
+        "overview.html",
+        sessions=service.sessions(lab, NEWEST),
+        jobs=jobs,
+        reports=service.reports(lab, NEWEST),
+        calibrations=service.calibrations(lab, NEWEST),
     )
 
 

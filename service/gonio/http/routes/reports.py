@@ -9,7 +9,9 @@ from gonio.errors import InputError
 from gonio.http.dependencies import CurrentLab, Id, TheService
 from gonio.http.problems import fails
 from gonio.http.routes.files import send_content
-from gonio.http.schemas import ListOf, ReportFileOut
+from gonio.http.schemas import ListOf, ResultFileOut
+from gonio.jobs.service import Service
+from gonio.jobs.tables import CalibrationRow, ReportRow
 
 router = APIRouter(prefix="/v1/reports", tags=["reports"])
 
@@ -29,9 +31,9 @@ def read_report(report_id: Id, service: TheService, lab: CurrentLab) -> Response
 
 
 @router.get("/{report_id}/files", responses=fails("not-found"))
-def list_report_files(report_id: Id, service: TheService, lab: CurrentLab) -> ListOf[ReportFileOut]:
+def list_report_files(report_id: Id, service: TheService, lab: CurrentLab) -> ListOf[ResultFileOut]:
     """List the files of a report, all on one page."""
-    return ListOf(items=ReportFileOut.list_of(service.report(lab, report_id)))
+    return ListOf(items=ResultFileOut.list_of(service.report(lab, report_id)))
 
 
 @router.get(
@@ -47,9 +49,14 @@ def read_report_file(
     report_id: Id, name: Annotated[str, Path(max_length=255)], service: TheService, lab: CurrentLab
 ) -> Response:
     """Read a file of a report; the page is shown, TRC and MOT are saved."""
-    files: dict[str, Any] = {file["name"]: file for file in service.report(lab, report_id).files}
+    return send_result(service, service.report(lab, report_id), name)
+
+
+def send_result(service: Service, row: ReportRow | CalibrationRow, name: str) -> Response:
+    """Send a file of a result: shown if a browser can show it, else saved."""
+    files: dict[str, Any] = {file["name"]: file for file in row.files}
     if name not in files:
-        raise InputError("The report has no such file.", hint="GET the list of its files.", code="not-found")
+        raise InputError("There is no such file.", hint="GET the list of the files.", code="not-found")
     media_type = SHOWN.get(PurePath(name).suffix.lower())
     return send_content(
         service,

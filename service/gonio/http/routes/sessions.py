@@ -13,7 +13,11 @@ router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 def create_session(body: SessionIn, response: Response, service: TheService, lab: CurrentLab) -> SessionOut:
     """Create a session, to which the files of one capture are then uploaded."""
     row = service.create_session(
-        lab, kind=body.kind, name=body.name, subject=body.subject.model_dump(exclude_none=True)
+        lab,
+        kind=body.kind,
+        name=body.name,
+        subject=body.subject.model_dump(exclude_none=True),
+        calibration_id=str(body.calibration) if body.calibration is not None else None,
     )
     response.headers["Location"] = f"/v1/sessions/{row.id}"
     return SessionOut.of(row)

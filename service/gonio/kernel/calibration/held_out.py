@@ -1,0 +1,181 @@
+"""What a calibration is worth on pictures that it was not made from: the board is rebuilt corner by corner and measured.
+
+A board that is small and near hides a wrong focal length in its depth, and the error that a solution reports of itself hides
+everything. So the recording is cut into alternating blocks: each half is solved alone and measures the other half's boards,
+and the two solutions' distances between the cameras are compared.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gonio.errors import CaptureError, SolverError
+from gonio.kernel.calibration.board_motion import advance
+from gonio.kernel.calibration.board_terms import DELAY
+from gonio.kernel.calibration.rig import RigSolution, solve_part
+from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
+from gonio.kernel.triangulation.points import triangulate
+from gonio.records import BoardViews, Rig, record
+
+BLOCKS = (6, 8, 10, 14)
+"""The recording is cut into so many blocks; more only if a half of it would not hold the cameras together by itself."""
+
+
+@record
+class BoardErrors:
+    """How well cameras measure a board: errors against its true squares, and among the cameras.
+
+    Lengths are between neighbouring corners: ``bias`` their mean error as a share, ``anisotropy`` how much more that is
+    along the rows than down the columns, ``length_rms_m`` their scatter with the bias. ``median_px`` and ``rms_px`` are the
+    cameras' reprojection errors, ``camera_bias_px`` each camera's mean residual (NaN for one that shares no corner).
+    """
+
+    corners: int
+    median_px: float
+    rms_px: float
+    camera_bias_px: Float[np.ndarray, "camera 2"]
+    bias: float
+    anisotropy: float
+    length_rms_m: float
+
+
+@record
+class Halves:
+    """Two solutions of alternating blocks of the recording, each measured on the other's pictures.
+
+    ``pooled`` takes both together: every corner measured by the solution that had not seen it. ``baseline_rms`` is how
+    much the distances between cameras differ between the two, as a share.
+    """
+
+    solutions: tuple[RigSolution, RigSolution]
+    errors: tuple[BoardErrors, BoardErrors]
+    pooled: BoardErrors
+    baseline_rms: float
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Errors of single corners and squares: reprojection in pixels, lengths as shares."""
+
+    residual_px: Float[np.ndarray, "camera point 2"]
+    across: Float[np.ndarray, " pair"]
+    down: Float[np.ndarray, " pair_down"]
+
+    def summary(self, square_m: float) -> BoardErrors:
+        across, down = self.across[np.isfinite(self.across)], self.down[np.isfinite(self.down)]
+        error_px = np.linalg.norm(self.residual_px, axis=-1)
+        seen = np.isfinite(error_px)
+        every = np.concatenate([across, down])
+        total = np.where(seen[..., None], self.residual_px, 0.0).sum(axis=1)
+        known = bool(len(across) and len(down))
+        return BoardErrors(
+            corners=int(seen.any(axis=0).sum()),
+            median_px=float(np.median(error_px[seen])) if known else np.nan,
+            rms_px=float(np.sqrt((error_px[seen] ** 2).mean())) if known else np.nan,
+            camera_bias_px=total / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)[:, None],
+            bias=float(every.mean()) if known else np.nan,
+            anisotropy=float(across.mean() - down.mean()) if known else np.nan,
+            length_rms_m=float(np.sqrt((every**2).mean())) * square_m if known else np.nan,
+        )
+
+
+def measure_boards(
+    views: BoardViews, rig: Rig, delay_s: Float[np.ndarray, " camera"], frames: Int[np.ndarray, " chosen"]
+) -> BoardErrors:
+    """Triangulate each corner of some frames from all cameras, delays taken out, and compare with the board.
+
+    Nothing of the board's shape goes into it. Corners that fewer than two cameras see are left out.
+
+    Args:
+        views: Where the cameras saw the board.
+        rig: The cameras of the views, in their order.
+        delay_s: By how much each runs late.
+        frames: The frames to measure.
+    """
+    return _measure(views, rig, delay_s, frames).summary(views.board.square_m)
+
+
+def _measure(
+    views: BoardViews, rig: Rig, delay_s: Float[np.ndarray, " camera"], frames: Int[np.ndarray, " chosen"]
+) -> _Measured:
+    # Neighbours in time may lie outside the chosen frames: they only tell of motion.
+    uv_px = advance(views.uv_px, views.times_s, delay_s)[:, frames]
+    ideal = undistort_rig(rig, uv_px).reshape(len(rig.cameras), -1, 2)
+    seen = np.isfinite(ideal[..., 0]).astype(float)
+    solved = triangulate(projection_matrices(rig), focal_lengths_px(rig), ideal, seen, method="reprojection")
+    xyz = solved.xyz_lab_m.reshape(len(frames), -1, 3)
+    across, down = (
+        (np.linalg.norm(xyz[:, pairs[:, 0]] - xyz[:, pairs[:, 1]], axis=-1) / views.board.square_m - 1).ravel()
+        for pairs in views.board.neighbours
+    )
+    return _Measured(solved.residual_px, across, down)
+
+
+def solve_halves(views: BoardViews, solution: RigSolution) -> Halves | None:
+    """Solve both halves of a recording and measure each on the other; None where no half can be solved alone.
+
+    Args:
+        views: The whole recording.
+        solution: The solution of the whole: its cameras and frames are those that are compared.
+    """
+    chosen = some_cameras(views, solution.cameras)
+    for count in BLOCKS:
+        halves = split_blocks(solution.frames, count)
+        try:
+            first, second = (solve_part(chosen, solution, half) for half in halves)
+        except (CaptureError, SolverError):
+            continue
+        if first.adjusted.converged and second.adjusted.converged:
+            return _compare(chosen, (first, second), halves)
+    return None
+
+
+def split_blocks(frames: Int[np.ndarray, " frame"], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cut frames into blocks, and give every other one, and the rest."""
+    blocks = np.array_split(frames, count)
+    return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
+
+
+def _compare(
+    views: BoardViews, solutions: tuple[RigSolution, RigSolution], halves: tuple[np.ndarray, np.ndarray]
+) -> Halves:
+    rigs = [Rig(cameras=solution.lenses(views), source="") for solution in solutions]
+    delays_s = [solution.scene.theta[:, DELAY] for solution in solutions]
+    measured = _measure(views, rigs[0], delays_s[0], halves[1]), _measure(views, rigs[1], delays_s[1], halves[0])
+    together = _Measured(
+        residual_px=np.concatenate([m.residual_px for m in measured], axis=1),
+        across=np.concatenate([m.across for m in measured]),
+        down=np.concatenate([m.down for m in measured]),
+    )
+    square_m = views.board.square_m
+    a, b = map(baselines_m, rigs)
+    return Halves(
+        solutions=solutions,
+        errors=(measured[0].summary(square_m), measured[1].summary(square_m)),
+        pooled=together.summary(square_m),
+        baseline_rms=disagreement(a, b),
+    )
+
+
+def baselines_m(rig: Rig) -> Float[np.ndarray, " pair"]:
+    """Give the distances between all pairs of cameras."""
+    centres = np.stack([camera.centre_lab_m for camera in rig.cameras])
+    i, j = np.triu_indices(len(centres), 1)
+    return np.linalg.norm(centres[i] - centres[j], axis=1)
+
+
+def disagreement(one: Float[np.ndarray, " pair"], other: Float[np.ndarray, " pair"]) -> float:
+    """Give the root mean square difference of two sets of lengths, as a share."""
+    return float(np.sqrt(np.mean((2 * (one - other) / (one + other)) ** 2)))
+
+
+def some_cameras(views: BoardViews, cameras: Sequence[int]) -> BoardViews:
+    """Give the recording of a part of the cameras."""
+    return replace(
+        views,
+        camera_names=tuple(views.camera_names[c] for c in cameras),
+        image_sizes_px=tuple(views.image_sizes_px[c] for c in cameras),
+        uv_px=views.uv_px[list(cameras)],
+    )

@@ -1,0 +1,15 @@
+"""What a worker can compute, by the kind of session."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
+from gonio.pipeline.multicamera import analyse
+from gonio.pipeline.run import STAGE_SHARES, River
+
+RIVERS: Mapping[str, River] = MappingProxyType(
+    {
+        "human_multicamera": River(analyse, STAGE_SHARES),
+        "calibration": River(calibrate, CALIBRATION_SHARES),
+    }
+)
