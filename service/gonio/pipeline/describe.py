@@ -108,7 +108,7 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
         method=analysis.parameters.reconstruction.method,
         smoothing=analysis.parameters.reconstruction.smoothing,
         looks_hz=round(analysis.keypoints.points.sampled.timebase.rate_hz, 3),
-        keypoint_model=analysis.parameters.keypoints.model,
+        keypoint_model=("virtual laboratory", *analysis.keypoints.networks)[-1],
         observations=int(np.isfinite(error_px).sum()),
         reprojection_mean_px=number(mean(error_px)),
         reprojection_median_px=number(median(error_px)),
@@ -145,9 +145,7 @@ def describe_body(analysis: Analysis) -> BodyFit:
         marker_rms_mean_mm=number(1e3 * mean(rms), 1),
         marker_rms_max_mm=number(1e3 * float(np.nanmax(rms)), 1) if np.isfinite(rms).any() else None,
         kept_fraction=number(fit.inlier_share, 4) if fit is not None else None,
-        error_lasts_s=number(fit.correlation_frames / analysis.capture.timebase.rate_hz, 3)
-        if fit is not None
-        else None,
+        error_lasts_s=number(fit.error_lasts_s, 3) if fit is not None else None,
         # The factor along the segment's length: Y in the bodies' frames.
         segment_scales={
             name: round(float(factor), 4) for name, factor in zip(model.bodies.names, factors, strict=True)

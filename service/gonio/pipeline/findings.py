@@ -268,6 +268,39 @@ KINDS: dict[str, Kind] = {
         "Keep bystanders out of the picture: they hide the subject.",
         "people",
     ),
+    "keypoints-invalid": Kind(
+        "warning",
+        "checks",
+        "{value:.1f} % of the keypoints of camera {where} were no positions (infinite, or with a confidence that is no "
+        "number) and were left out.",
+        "Have the keypoints found anew; if it happens again, report it with this recording.",
+        "%",
+    ),
+    "too-few-cameras": Kind(
+        "warning",
+        "checks",
+        "For {value:.1f} s too few cameras saw the subject ({where}): nothing is known of the movement there, and the "
+        "curves have a gap.",
+        "Check these videos at that time: light, exposure, cables, and whether something stood before the cameras.",
+        "s",
+    ),
+    "camera-moved": Kind(
+        "warning",
+        "tripods",
+        "A camera was moved while it recorded ({where}): everything that it sees jumped by {value:.0f} mm at one moment. The "
+        "result rests on the other cameras there.",
+        "Calibrate again before the next recording, and fix the tripod: weights on its legs, cables out of the way.",
+        "mm",
+    ),
+    "camera-moved-unclear": Kind(
+        "serious",
+        "tripods",
+        "A camera was moved while it recorded, and the recording does not tell which one ({where}): what one of them sees "
+        "jumped by {value:.0f} mm at one moment.",
+        "Look at the background of the videos at that moment to see which one was moved, analyse again without that "
+        "camera, and calibrate again.",
+        "mm",
+    ),
     "cameras-not-synchronous": Kind(
         "warning",
         "synchronization",

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gonio.pipeline.findings import finding
-from gonio.pipeline.params import KeypointParameters
+from gonio.pipeline.params import KeypointParameters, LookRate
 from gonio.pipeline.run import Outcome, Progress
 from gonio.records import Capture, ImagePoints, record
 from gonio.vision.blazepose import LandmarkModel, PersonDetector
@@ -21,19 +21,26 @@ from gonio.vision.weights import default_cache_dir, ensure_weights
 DETECTOR = "blazepose_detector"
 PICTURE_SIDE_PX = 960
 
-LOOKS_HZ = {"exact": 60.0, "default": 30.0, "fast": 20.0}
+LOOKS_HZ: dict[LookRate, float] = {"exact": 60.0, "default": 30.0, "fast": 20.0}
 """How often a camera is looked at. A detector's errors last for a tenth of a second: more looks mostly repeat them."""
+
+
+def look_stride(rate_hz: float, rate: LookRate) -> int:
+    """Give which frames of a video are looked at: every so-many-th."""
+    return max(1, int(rate_hz / LOOKS_HZ[rate] + 1e-3))
 
 
 @record
 class Keypoints:
     """The subject's keypoints, and a still frame of each camera to show them on.
 
-    ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their size
-    against the video's.
+    ``networks`` are the cards of the networks that found them, the landmarks' last; none for keypoints of the virtual
+    laboratory. ``pictures`` are JPEG files of frame ``picture_frame``, in the order of the cameras; ``picture_scale`` is their
+    size against the video's.
     """
 
     points: ImagePoints
+    networks: tuple[str, ...]
     pictures: tuple[Path, ...]
     picture_frame: int
     picture_scale: tuple[float, ...]
@@ -80,13 +87,17 @@ def find_keypoints(
         detector,
         landmarks,
         card.keypoints.names,
-        stride=max(1, int(capture.timebase.rate_hz / LOOKS_HZ[parameters.rate] + 1e-3)),
+        stride=look_stride(capture.timebase.rate_hz, parameters.rate),
         workers=workers,
         on_progress=progress,
         on_frames=keep_pictures,
     )
     keypoints = Keypoints(
-        points=tracked.points, pictures=tuple(pictures), picture_frame=middle, picture_scale=tuple(scales)
+        points=tracked.points,
+        networks=(DETECTOR, parameters.model),
+        pictures=tuple(pictures),
+        picture_frame=middle,
+        picture_scale=tuple(scales),
     )
     findings = [
         finding("camera-lost-subject", where=name, value=100 * (1 - float(seen.mean())))

@@ -17,12 +17,15 @@ from gonio.kernel.geometry.cameras import undistort_rig
 from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.kernel.kinematics.covariance import add_covariance
 from gonio.kernel.kinematics.inverse import solve_motion
-from gonio.kernel.kinematics.pixel_priors import TrialPriors, make_priors
+from gonio.kernel.kinematics.pixel_priors import TrialPriors, anchor, make_priors
 from gonio.kernel.kinematics.pixels import PixelFit, fit_pixels
+from gonio.kernel.kinematics.resample import resample
+from gonio.kernel.synchronization.looks import thin
 from gonio.pipeline.body import SubjectBody, in_marker_order
 from gonio.pipeline.findings import finding
+from gonio.pipeline.keypoints import look_stride
 from gonio.pipeline.params import Parameters
-from gonio.pipeline.run import Outcome
+from gonio.pipeline.run import Outcome, Progress
 from gonio.records import (
     NOT_CONVERGED,
     TOO_FEW_MARKERS,
@@ -68,7 +71,12 @@ class BodyMotion:
 
 
 def fit_motion(
-    body: SubjectBody, points: LabPoints, keypoints: ImagePoints, rig: Rig, parameters: Parameters
+    body: SubjectBody,
+    points: LabPoints,
+    keypoints: ImagePoints,
+    rig: Rig,
+    parameters: Parameters,
+    progress: Progress | None = None,
 ) -> Outcome[BodyMotion]:
     """Find the joint angles of every frame in both ways, choose, and judge.
 
@@ -78,24 +86,32 @@ def fit_motion(
         keypoints: What the cameras saw, on one clock.
         rig: The cameras, in the same lab.
         parameters: What the request chose.
+        progress: Is told the done share.
     """
     two_step = fit_points(body, points)
-    if parameters.kinematics.method == "points" or np.isfinite(two_step.values).all(axis=1).sum() < FEWEST_FRAMES:
+    looks = thin(keypoints, look_stride(points.timebase.rate_hz, parameters.keypoints.rate))
+    enough = min(int(np.isfinite(two_step.values).all(axis=1).sum()), looks.uv_px.shape[1]) >= FEWEST_FRAMES
+    if parameters.kinematics.method == "points" or not enough:
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=None, distrusted="")
         return Outcome(found, judge_motion(two_step))
     telling = keep_markers(body.model, np.flatnonzero(body.tasks.marker_weights >= LEAST_WEIGHT))
     distance_m = _distances_m(rig, points.xyz_lab_m)
-    priors = make_priors(telling, body.markerset, rig, points.timebase.rate_hz, distance_m)
-    fit = _fit_pixels(telling, keypoints, rig, two_step, priors, parameters.reconstruction.min_confidence)
+    priors = anchor(make_priors(telling, body.markerset, rig, looks.timebase.rate_hz, distance_m), two_step)
+    seen = replace(
+        looks,
+        confidence=np.where(looks.confidence >= parameters.reconstruction.min_confidence, looks.confidence, 0.0),
+    )
+    fit = _fit_pixels(telling, seen, rig, two_step, priors, progress)
     reason = distrust(fit, priors)
     if reason:
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=fit, distrusted=reason)
         return Outcome(found, (*judge_motion(two_step), finding("pixel-fit-distrusted", where=reason)))
     model = _personalise(body.model, fit)
+    motion = resample(fit.motion, two_step.times_s)
     motion = replace(
-        fit.motion,
-        values=np.where(_never_known(two_step), np.nan, fit.motion.values),
-        residual_rms_m=_residual_rms_m(fit.model, fit.motion, in_marker_order(fit.model, points)),
+        motion,
+        values=np.where(_never_known(two_step), np.nan, motion.values),
+        residual_rms_m=_residual_rms_m(fit.model, motion, in_marker_order(fit.model, points)),
     )
     found = BodyMotion(motion=motion, model=model, two_step=two_step, fit=fit, distrusted="")
     return Outcome(found, (*judge_motion(motion), *cross_check(found)))
@@ -110,12 +126,12 @@ def fit_points(body: SubjectBody, points: LabPoints) -> Motion:
 
 
 def _fit_pixels(
-    model: BodyModel, keypoints: ImagePoints, rig: Rig, start: Motion, priors: TrialPriors, min_confidence: float
+    model: BodyModel, keypoints: ImagePoints, rig: Rig, start: Motion, priors: TrialPriors, progress: Progress | None
 ) -> PixelFit:
     order = [keypoints.keypoint_names.index(name) for name in model.markers.names]
     uv_px = undistort_rig(rig, keypoints.uv_px)[:, :, order]
-    confidence = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)[:, :, order]
-    return fit_pixels(model, rig, uv_px, confidence, start, priors)
+    first = resample(start, keypoints.timebase.times_s(uv_px.shape[1]))
+    return fit_pixels(model, rig, uv_px, keypoints.confidence[:, :, order], first, priors, progress)
 
 
 def _personalise(model: BodyModel, fit: PixelFit) -> BodyModel:

@@ -6,6 +6,7 @@ from typing import Any
 
 from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
+from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
@@ -37,14 +38,14 @@ def analyse(
     rig = runner("calibration", lambda _: read_rig(capture_files))
     capture = runner("capture", lambda _: read_capture(capture_files, rig))
     keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
-    delays, synchronous = runner(
-        "synchronization", lambda _: synchronize(keypoints.points, capture.rig, chosen.reconstruction)
-    )
-    refined = runner("cameras", lambda _: refine_cameras(synchronous, capture.rig, chosen.reconstruction))
-    raw = runner("triangulation", lambda _: reconstruct(synchronous, refined.rig, chosen.reconstruction))
-    points = runner("smoothing", lambda _: smooth(synchronous, raw, chosen.reconstruction))
+    checked = runner("checks", lambda _: check_keypoints(keypoints.points, capture.rig, chosen.reconstruction))
+    delays, synchronous = runner("synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction))
+    steady = runner("tripods", lambda _: leave_out_moved_cameras(synchronous, capture.rig, chosen.reconstruction))
+    refined = runner("cameras", lambda _: refine_cameras(steady, capture.rig, chosen.reconstruction))
+    raw = runner("triangulation", lambda _: reconstruct(steady, refined.rig, chosen.reconstruction))
+    points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
-    motion = runner("kinematics", lambda _: fit_motion(body, points, synchronous, raw.rig, chosen))
+    motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
 
     analysis = Analysis(
         files=tuple(capture_files),

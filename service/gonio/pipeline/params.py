@@ -23,6 +23,9 @@ class Subject:
     sex: Annotated[Literal["female", "male"], Field(description="Chooses the table of segment masses.")] | None = None
 
 
+LookRate = Literal["exact", "default", "fast"]
+
+
 @dataclass(frozen=True, config=_STRICT)
 class KeypointParameters:
     """How keypoints are found in the videos."""
@@ -32,10 +35,11 @@ class KeypointParameters:
         Field(description="`blazepose_heavy` is the accurate one; `blazepose_full` is a fast preview."),
     ] = "blazepose_heavy"
     rate: Annotated[
-        Literal["exact", "default", "fast"],
+        LookRate,
         Field(
             description="How often each camera is looked at: 60, 30 or 20 times a second. Tracks are fused over time, so that "
-            "30 is as good as 60 for walking; take `exact` for running and for impacts."
+            "30 is as good as 60 for walking; take `exact` for running and for impacts. The body is fitted to the pixels at "
+            "this rate too, and the motion in between is the smoothest."
         ),
     ] = "default"
 
@@ -47,8 +51,9 @@ class ReconstructionParameters:
     method: Annotated[
         Literal["stereo", "linear3", "linear4", "linear", "reprojection", "robust"],
         Field(
-            description="A step of the ladder: linear least squares over two (stereo), three, four or all cameras; "
-            "confidence-weighted reprojection (Levenberg-Marquardt); robust (camera-pair hypotheses, then Cauchy's loss)."
+            description="A step of the ladder: plain linear least squares over two (stereo), three or four cameras, or "
+            "confidence-weighted over all; confidence-weighted reprojection (Levenberg-Marquardt); robust (camera-pair "
+            "hypotheses, then Cauchy's loss)."
         ),
     ] = "robust"
     min_confidence: Annotated[

@@ -10,7 +10,8 @@ from gonio.kernel.calibration.person import PersonRefinement, refine_on_person, 
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
 from gonio.kernel.geometry.transforms import apply, rotation_about_y, transform
 from gonio.kernel.smoothing.filters import low_pass, median_filter, median_window
-from gonio.kernel.synchronization.delays import Synchronization, estimate_delays, shift, trusted
+from gonio.kernel.synchronization.delays import Synchronization, estimate_delays, trusted
+from gonio.kernel.synchronization.looks import shift
 from gonio.kernel.triangulation.fusion import fuse, mark_spans
 from gonio.kernel.triangulation.points import triangulate
 from gonio.pipeline.findings import finding

@@ -12,7 +12,6 @@ from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.figures import angle_figure
-from gonio.pipeline.keypoints import DETECTOR
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
@@ -24,8 +23,8 @@ from gonio.vision.weights import default_cache_dir, ensure_weights
 
 def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
     """Write ``report.json``, ``report.html``, and for OpenSim ``markers.trc``, ``motion.mot`` and ``model.osim``."""
-    names = (DETECTOR, analysis.parameters.keypoints.model)
-    weights = {name: ensure_weights(load_card(name), default_cache_dir(), offline=True) for name in names}
+    cache_dir = default_cache_dir()
+    weights = {name: ensure_weights(load_card(name), cache_dir, offline=True) for name in analysis.keypoints.networks}
     report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
     document, page = output_dir / "report.json", output_dir / "report.html"
     document.write_text(report.model_dump_json(indent=1), encoding="utf-8")

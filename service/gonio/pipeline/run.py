@@ -30,8 +30,10 @@ STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
         "calibration": 0.01,
         "capture": 0.01,
-        "keypoints": 0.84,
+        "keypoints": 0.83,
+        "checks": 0.005,
         "synchronization": 0.02,
+        "tripods": 0.005,
         "cameras": 0.01,
         "triangulation": 0.03,
         "smoothing": 0.01,

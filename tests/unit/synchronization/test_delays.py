@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from gonio.kernel.geometry.cameras import project
 from gonio.kernel.geometry.transforms import transform
-from gonio.kernel.synchronization.delays import estimate_delays, shift
+from gonio.kernel.synchronization.delays import estimate_delays
+from gonio.kernel.synchronization.looks import shift
 from gonio.records import ImagePoints, Rig, Timebase
 
 RATE_HZ, FRAMES, KEYPOINTS = 60.0, 300, 17

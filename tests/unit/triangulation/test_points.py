@@ -43,6 +43,18 @@ def test_reprojection_is_the_least_squares_minimum(rig: Rig) -> None:
         np.testing.assert_allclose(solved.xyz_lab_m[i], oracle.x, atol=2e-6)
 
 
+def test_plain_rungs_count_all_cameras_alike(rig: Rig) -> None:
+    uv, confidence = observe(rig, noise_px=4.0)
+    ones = np.ones_like(confidence)
+    for method in ("stereo", "linear3", "linear4"):
+        np.testing.assert_array_equal(
+            solve(rig, uv, confidence, method).xyz_lab_m, solve(rig, uv, ones, method).xyz_lab_m
+        )
+    assert (
+        np.abs(solve(rig, uv, confidence, "linear").xyz_lab_m - solve(rig, uv, ones, "linear").xyz_lab_m).max() > 1e-4
+    )
+
+
 def test_robust_minimises_the_cauchy_cost(rig: Rig) -> None:
     uv, confidence = observe(rig, noise_px=4.0)
     uv[1, :, 0] += 80.0
@@ -55,7 +67,7 @@ def test_robust_minimises_the_cauchy_cost(rig: Rig) -> None:
         def cost(x: np.ndarray, i: int = i, s2: np.ndarray = s2) -> float:
             homogeneous = P @ np.r_[x, 1.0]
             r2 = ((uv[:, i] - homogeneous[:, :2] / homogeneous[:, 2:]) ** 2).sum(axis=1)
-            return float((confidence[:, i] * s2 * np.log1p(r2 / s2)).sum())
+            return float((confidence[:, i] ** 2 * s2 * np.log1p(r2 / s2)).sum())
 
         best = cost(solved.xyz_lab_m[i])
         assert all(best < cost(solved.xyz_lab_m[i] + step) for step in RNG.normal(0, 1e-3, (100, 3)))

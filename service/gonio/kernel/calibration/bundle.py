@@ -22,6 +22,8 @@ PRIOR_TRANSLATION_M = 0.05
 """How far a calibration is expected to be off: a tripod that was knocked. The prior also fixes the frame, which the points
 alone leave open; it is weak against a few hundred points and strong against a handful."""
 
+LOWEST_INFORMATION = 1e-3  # 1/m²: a pixel at 5 m gives 1e4
+SMALLEST_SHARE = 1e-10
 STEP_TOLERANCE = 1e-5  # rad, m and s: moves a point at 5 m by 0.05 mm
 MAX_ITERATIONS = 100
 UNKNOWNS = 7  # of a camera: rotation, translation, delay
@@ -199,7 +201,9 @@ def _step(
     g_c = (stacked @ residual.reshape(cameras, 2 * points, 1))[..., 0] - problem.prior * estimate.change
     g_p = (weighted_point.swapaxes(2, 3) @ residual[..., None]).sum(axis=0)[..., 0]
     H_cc += damping * H_cc * np.eye(UNKNOWNS)
-    H_pp += damping * H_pp * np.eye(3)
+    # A point that the loss has let go of altogether, or that but one camera still tells of, lacks information: there it stays.
+    lowest = LOWEST_INFORMATION + SMALLEST_SHARE * np.trace(H_pp, axis1=1, axis2=2)
+    H_pp += (damping * H_pp + lowest[:, None, None]) * np.eye(3)
     inverse_pp = np.linalg.inv(H_pp)
     by_unknown = H_cp.swapaxes(1, 2).reshape(cameras * UNKNOWNS, points * 3)
     carried = (H_cp @ inverse_pp).swapaxes(1, 2).reshape(cameras * UNKNOWNS, points * 3)

@@ -5,11 +5,15 @@ keypoints, hundreds of points all over the capture volume, tell where the camera
 it lowers the reprojection error of stretches of the trial that it was not computed from.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from gonio.kernel.calibration.bundle import Bundle, adjust_poses
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
+from gonio.kernel.geometry.transforms import transform
 from gonio.kernel.triangulation.points import triangulate
 from gonio.records import ImagePoints, Rig, record
 
@@ -26,6 +30,10 @@ SCALE_M = 0.06
 
 SMALLEST_GAIN = 0.03
 """The held-out error must fall by this share: less is within what chance and the loss's scale give."""
+
+
+TYPICAL = 3.0
+"""Points that the refinement moves by more than this many medians are outliers, and don't tell where the lab is."""
 
 
 @record
@@ -62,14 +70,20 @@ def refine_on_person(rig: Rig, keypoints: ImagePoints, min_confidence: float) ->
     before = held_out_error_px(rig, uv_px[:, held_out], weight[:, held_out])
     after = held_out_error_px(trial.rig, uv_px[:, held_out], weight[:, held_out])
     kept = bool(trial.converged and after < (1 - SMALLEST_GAIN) * before)
-    final = _adjust(rig, uv_px, weight, np.ones(frames, dtype=bool), keypoints.timebase.rate_hz) if kept else trial
+    refined = trial.rig
+    if kept:
+        final = _adjust(rig, uv_px, weight, np.ones(frames, dtype=bool), keypoints.timebase.rate_hz)
+        refined = _keep_lab(rig, final.rig, uv_px, weight)
+    change = np.stack(
+        [np.linalg.inv(a.T_lab_cam) @ b.T_lab_cam for a, b in zip(rig.cameras, refined.cameras, strict=True)]
+    )
     return PersonRefinement(
-        rig=final.rig if kept else rig,
+        rig=refined if kept else rig,
         kept=kept,
         error_before_px=before,
         error_after_px=after,
-        turned_rad=np.linalg.norm(final.rotation_rad, axis=1),
-        moved_m=np.linalg.norm(final.translation_m, axis=1),
+        turned_rad=np.asarray(Rotation.from_matrix(change[:, :3, :3]).magnitude()),
+        moved_m=np.linalg.norm(change[:, :3, 3], axis=1),
     )
 
 
@@ -95,6 +109,37 @@ def held_out_error_px(
     )
     error = np.linalg.norm(solved.residual_px, axis=-1)
     return float(np.nanmean(error)) if np.isfinite(error).any() else np.nan
+
+
+def _keep_lab(
+    rig: Rig,
+    refined: Rig,
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"],
+    weight: Float[np.ndarray, "camera frame keypoint"],
+) -> Rig:
+    """Move a refined rig as a whole so that the person stands where the calibration saw her.
+
+    The person tells how the cameras stand to each other, not where the floor is: left to the priors of single cameras, the
+    lab drifts by centimetres.
+    """
+    cameras, frames = weight.shape[:2]
+    chosen = slice(None, None, max(1, frames // MOST_FRAMES))
+    there, here = (
+        triangulate(
+            projection_matrices(one),
+            focal_lengths_px(one),
+            uv_px[:, chosen].reshape(cameras, -1, 2),
+            weight[:, chosen].reshape(cameras, -1),
+            method="robust",  # or a camera that was knocked would draw the lab along
+        ).xyz_lab_m
+        for one in (rig, refined)
+    )
+    miss_m = np.linalg.norm(there - here, axis=1)
+    known = miss_m <= np.nanmedian(miss_m) * TYPICAL  # false for NaN
+    middle_there, middle_here = there[known].mean(axis=0), here[known].mean(axis=0)
+    turn = Rotation.align_vectors(there[known] - middle_there, here[known] - middle_here)[0].as_matrix()  # Kabsch 1976
+    T = transform(turn, middle_there - turn @ middle_here)
+    return replace(refined, cameras=tuple(replace(c, T_lab_cam=T @ c.T_lab_cam) for c in refined.cameras))
 
 
 def _adjust(

@@ -10,11 +10,12 @@ from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.body.forward import couple, marker_positions
 from gonio.kernel.geometry.cameras import focal_lengths_px
-from gonio.records import GROUND, BodyModel, MarkerSet, Rig
+from gonio.records import GROUND, BodyModel, MarkerSet, Motion, Rig
 
 JERK_PER_ACCELERATION = 31.4  # 1/s: a motion of 5 Hz has 2π · 5 times as much jerk as acceleration
-STIFFNESS = 0.5
-"""How much of that jerk is expected. 0.5 to 1 is best on known walks and flat around it; too stiff is worse than too loose."""
+STIFFNESS = 0.65
+"""How much of that jerk is expected. 0.5 to 1 is best on known walks and flat around it; too stiff is worse than too loose,
+and not only for fast movements: the subject's lengths give way to keep the jerk low."""
 
 ACCELERATIONS: dict[str, float] = {
     # Typical accelerations, rad/s² (pelvis translation: m/s²), by the stem of the coordinate's name.
@@ -37,7 +38,6 @@ OTHER_ACCELERATION = 60.0
 
 POSTURES_DEG: dict[str, float] = {
     # Standard deviation of a coordinate's mean over the trial about its default: what so few keypoints hardly see.
-    "pelvis_tilt": 20.0,
     "hip_rotation": 20.0,
     "hip_adduction": 20.0,
     "lumbar": 20.0,
@@ -46,16 +46,20 @@ MOMENTS_DEG: dict[str, float] = {
     # Standard deviation of a coordinate about its default at any moment: what is at times not seen at all, like the turn of a
     # straight arm about itself, and what hardly moves in anybody.
     "subtalar": 8.0,
+    "mtp": 12.0,
     "neck": 25.0,
     "arm_rot": 40.0,
     "pro_sup": 40.0,
     "wrist": 15.0,
 }
+ANCHORS_DEG: dict[str, float] = {
+    # Standard deviation of a coordinate's mean over the trial about that of the frame by frame solution, which knows the
+    # subject's geometry no better but can't bend it to the pixels: tilt and back would drift apart by 10° and more.
+    "pelvis_tilt": 5.0,
+    "lumbar_extension": 5.0,
+}
 MOMENT_S = 0.25
 """How long a moment is: beliefs about neighbouring frames are one belief."""
-
-HELD = ("mtp",)
-"""Stems of coordinates that no set of keypoints tells of: heel and big toe do not show where the foot bends."""
 
 LIMIT_DEG = 1.5
 """How far a coordinate may go beyond its range, one standard deviation."""
@@ -63,7 +67,7 @@ LIMIT_DEG = 1.5
 LIMB_SCALE, TRUNK_SCALE, MIRROR_SCALE = 0.05, 0.01, 0.01
 """A segment's length against the measured one; pelvis and trunk, whose size so few keypoints can't tell; left against right."""
 
-LIMB_OFFSET_M, LOOSE_OFFSET_M, TRUNK_OFFSET_M, MIRROR_OFFSET_M = 0.015, 0.025, 0.006, 0.006
+LIMB_OFFSET_M, LOOSE_OFFSET_M, TRUNK_OFFSET_M, MIRROR_OFFSET_M = 0.012, 0.025, 0.004, 0.006
 """A keypoint's place in its segment, against the marker set's: detectors differ, most of all at head and arms; the trunk's
 are held (see TRUNK_SCALE)."""
 
@@ -113,7 +117,7 @@ def make_priors(
     loose = np.array([body != GROUND and model.bodies.names[body] in HEAD_AND_ARMS for body in model.markers.body])
     hips = np.array(["hip" in name for name in model.markers.names])
     return TrialPriors(
-        held=np.array([name.startswith(HELD) for name in names]) | ~_seen_by_markers(model),
+        held=~_seen_by_markers(model),
         jerk_sd=jerk_sd,
         posture=posture,
         posture_sd=np.deg2rad([_by_stem(name, POSTURES_DEG, np.inf) for name in names]),
@@ -131,6 +135,16 @@ def make_priors(
         mirrored_markers=_mirrored(model.markers.names),
         bias_sd_px=BIAS_M * focal_lengths_px(rig) / distance_m,
     )
+
+
+def anchor(priors: TrialPriors, motion: Motion) -> TrialPriors:
+    """Hold the mean of what the pixels hardly tell (see :data:`ANCHORS_DEG`) near that of a motion found another way."""
+    posture, posture_sd = priors.posture.copy(), priors.posture_sd.copy()
+    for name, sd_deg in ANCHORS_DEG.items():
+        if name in motion.coordinate_names and np.isfinite(motion.of(name)).any():
+            index = motion.coordinate_names.index(name)
+            posture[index], posture_sd[index] = np.nanmean(motion.values[:, index]), np.deg2rad(sd_deg)
+    return replace(priors, posture=posture, posture_sd=posture_sd)
 
 
 def without_geometry(priors: TrialPriors) -> TrialPriors:

@@ -40,6 +40,9 @@ class Trial:
     consecutive: Bool[np.ndarray, " frame"]  # whether a frame follows the one before in time
     priors: TrialPriors
     free: Int[np.ndarray, " free"]
+    repeat: float = (
+        1.0  # how many observations say the same: beliefs that hold for the whole trial weigh that much more
+    )
 
     @property
     def shared(self) -> int:
@@ -128,23 +131,41 @@ def moved(state: State, change: State) -> State:
     )
 
 
-def frame_covariance(
-    trial: Trial, equations: Equations, data_share: float, *, shared: bool
-) -> tuple[Float[np.ndarray, "frame free free"], Float[np.ndarray, " shared"]]:
-    """Give the covariance of each frame's coordinates, what is shared being unknown too, and the shared ones' variances.
+def shared_covariance(trial: Trial, equations: Equations, data_share: float) -> Float[np.ndarray, "shared shared"]:
+    """Give the covariance of what all frames share, their motion being unknown too.
 
     ``data_share`` is what a residual's information is worth, since residuals of neighbouring frames repeat each other.
     """
+    factor = _factorise(trial, equations, data_share, 0.0, shared=True)
+    assert isinstance(factor, BorderedFactor)
+    return factor.border_inverse()
+
+
+def frame_covariance(
+    trial: Trial, equations: Equations, data_share: float, shared: Float[np.ndarray, "shared shared"]
+) -> Float[np.ndarray, "frame free free"]:
+    """Give the covariance of each frame's coordinates, where what the frames share has the covariance ``shared``.
+
+    With the motion q, the shared s, Hessian H of the one and B of both: cov q = H⁻¹ + H⁻¹ B cov(s) Bᵀ H⁻¹.
+    """
     frames, size = equations.prior_gradient.shape
-    factor = _factorise(trial, equations, data_share, 0.0, shared=shared)
-    if isinstance(factor, BorderedFactor):
-        blocks, theta = factor.inverse_diagonal()
-        variance = np.diag(theta)
-    else:
-        blocks, variance = factor.inverse_diagonal(), np.zeros(trial.shared)
+    factor = _factorise(trial, equations, data_share, 0.0, shared=False)
+    assert isinstance(factor, Factor)
+    carried = factor.solve(_border_blocks(equations, data_share))
+    spread = carried @ np.linalg.cholesky(shared)
+    blocks = factor.inverse_diagonal() + spread @ spread.transpose(0, 2, 1)
     by_frame = blocks.reshape(-1, FRAMES_PER_BLOCK, size, FRAMES_PER_BLOCK, size)
     own = np.stack([by_frame[:, i, :, i] for i in range(FRAMES_PER_BLOCK)], axis=1)
-    return own.reshape(-1, size, size)[:frames], variance
+    return own.reshape(-1, size, size)[:frames]
+
+
+def _border_blocks(equations: Equations, data_share: float) -> Float[np.ndarray, "block size shared"]:
+    """Pad the border to whole blocks of frames."""
+    frames, size, shared = equations.data.border.shape
+    blocks = -(-frames // FRAMES_PER_BLOCK)
+    border = np.zeros((blocks * FRAMES_PER_BLOCK, size, shared))
+    border[:frames] = data_share * equations.data.border
+    return border.reshape(blocks, FRAMES_PER_BLOCK * size, shared)
 
 
 def _sum_all(tree: Tree, sight: Sight, layout: Layout, q: np.ndarray, shared: int) -> tuple[Sums, float]:
@@ -186,7 +207,8 @@ def _frame_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.nda
     for ahead, factor in enumerate((-1.0, 3.0, -3.0, 1.0)):
         np.add.at(gradient, starts + ahead, -factor * jerk * jerk_precision)
     # The mean over the trial is believed, so each frame gets 1/N of the information.
-    posture_precision = priors.posture_sd[trial.free] ** -2.0 / len(q) + priors.moment_sd[trial.free] ** -2.0
+    posture_precision = trial.repeat / len(q) * priors.posture_sd[trial.free] ** -2.0
+    posture_precision += priors.moment_sd[trial.free] ** -2.0
     away = q - priors.posture[trial.free]
     cost += 0.5 * float((away**2 * posture_precision).sum())
     gradient -= away * posture_precision
@@ -222,6 +244,7 @@ def _shared_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.nd
         corner[left, left] += mirror_sd**-2.0
         corner[right, left] -= sign * mirror_sd**-2.0
         corner[left, right] -= sign * mirror_sd**-2.0
+    corner *= trial.repeat
     downhill = -corner @ theta
     return -0.5 * float(theta @ downhill), corner, downhill
 
@@ -275,11 +298,9 @@ def _factorise(
     diagonal[:, whole, whole] += 1e-9
     if not shared:
         return factorise(diagonal, below)
-    border = np.zeros((blocks * FRAMES_PER_BLOCK, size, trial.shared))
-    border[:frames] = data_share * equations.data.border
     corner = data_share * equations.data.corner + equations.prior_corner
     corner[np.diag_indices_from(corner)] *= 1.0 + damping
-    return factorise_bordered(diagonal, below, border.reshape(blocks, FRAMES_PER_BLOCK * size, -1), corner)
+    return factorise_bordered(diagonal, below, _border_blocks(equations, data_share), corner)
 
 
 def _jerk_blocks(trial: Trial, frames: int, size: int) -> tuple[np.ndarray, np.ndarray]:

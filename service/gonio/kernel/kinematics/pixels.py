@@ -10,10 +10,13 @@ What that does not solve: the absolute tilt of the pelvis. Hips and shoulders ha
 trunk keep the geometry they came with, and hip flexion has an offset that only a static trial can remove.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from threadpoolctl import threadpool_limits
 
 from gonio.kernel.body.forward import couple
@@ -27,8 +30,10 @@ from gonio.kernel.kinematics.pixel_system import (
     linearise,
     moved,
     personalise,
+    shared_covariance,
     step,
 )
+from gonio.kernel.smoothing.correlation import repeats
 from gonio.records import NOT_CONVERGED, SOLVED, TOO_FEW_MARKERS, BodyModel, Motion, Rig, record
 
 MIN_CONFIDENCE = 0.3
@@ -36,16 +41,28 @@ WIDE_LOSS, LOSS = 4.0, 2.0
 """Cauchy's scale in standard deviations: wide while the start is still off, then narrow."""
 
 TOLERANCE_RAD = 1e-5
-COST_TOLERANCE = 1e-5
+ROUGH_TOLERANCE, COST_TOLERANCE = 1e-3, 3e-5
 """The cost is half a chi-square: in a trial of a thousand observations a change by this share is a hundredth of a standard
 deviation of one unknown. Some unknowns (the turn of a straight arm) are hardly seen at all and may go on wandering."""
 MAX_ITERATIONS = 40
 LARGEST_STEP_RAD = 0.6
-MOST_SHARED_FRAMES = 400
+MOST_SHARED_FRAMES = 250
 """Scales, offsets and biases are estimated on at most so many frames: more hardly sharpen them and cost time and memory."""
 
+WINDOW_FRAMES, OVERLAP_FRAMES = 600, 30
+"""A longer trial is then solved in windows, for the memory's sake; the frames of an overlap are taken from the window that
+sees more around them. The jerk prior carries no further than some tenths of a second."""
+
+SHARPEST = 0.25
+"""An observation is never believed to be sharper than this share of a camera's constant errors (2 mm at the subject): the
+body is not that much like its model, and a fit to exact points would chase the difference for ever."""
+
 LONGEST_BLIND_S = 0.2
-"""Farther from a frame in which the subject was seen, the smoothness prior alone speaks: those frames are NaN."""
+"""In a longer span in which two cameras don't see the subject, and beyond the ends, the smoothness prior alone would speak:
+those frames are NaN."""
+
+FEWEST_KEYPOINTS = 6
+"""A camera with fewer keypoints does not see the subject."""
 
 SWAP_GAIN = 4.0
 
@@ -55,8 +72,8 @@ class PixelFit:
     """The motion, the subject's own body, and what the fit says of itself.
 
     ``sigma_px`` is an observation's standard deviation at confidence 1, by camera. ``inlier_share`` is the share of the
-    observations that keep more than half their weight. ``correlation_frames`` is by how many frames the residuals repeat
-    each other; the covariance counts with that. ``bias_px`` is each camera's constant error for each keypoint.
+    observations that keep more than half their weight. ``correlation_frames`` is by how many frames of the motion the
+    residuals repeat each other; the covariance counts with that. ``bias_px`` is each camera's constant error for each keypoint.
     """
 
     motion: Motion
@@ -66,12 +83,16 @@ class PixelFit:
     offset_m: Float[np.ndarray, "marker 3"]
     bias_px: Float[np.ndarray, "camera marker 2"]
     sigma_px: Float[np.ndarray, " camera"]
-    residual_px: Float[np.ndarray, "camera frame marker 2"]
     inlier_share: float
     correlation_frames: float
     swapped: Bool[np.ndarray, "camera frame"]
     converged: bool
     iterations: int
+
+    @property
+    def error_lasts_s(self) -> float:
+        """How long a residual lasts, in seconds."""
+        return self.correlation_frames * float(self.motion.times_s[1] - self.motion.times_s[0])
 
 
 def fit_pixels(
@@ -81,6 +102,7 @@ def fit_pixels(
     confidence: Float[np.ndarray, "camera frame marker"],
     start: Motion,
     priors: TrialPriors,
+    on_progress: Callable[[float], None] | None = None,
 ) -> PixelFit:
     """Fit a body model to a trial's keypoints.
 
@@ -91,6 +113,7 @@ def fit_pixels(
         confidence: Theirs; below 0.3 a keypoint is not used.
         start: The motion to start from, of the same model: its root should face the right way; NaN is filled.
         priors: What is believed beforehand.
+        on_progress: Is told the done share, 0 to 1.
     """
     usable = np.isfinite(uv_px).all(axis=-1) & (confidence >= MIN_CONFIDENCE)
     trial = Trial(
@@ -102,37 +125,131 @@ def fit_pixels(
         priors=priors,
         free=np.flatnonzero((model.coordinates.coupled_to < 0) & ~model.coordinates.locked & ~priors.held),
     )
+    state = _start(trial, start)
+    chosen = _sample(uv_px.shape[1])
+    progress = _Stages(on_progress, 3 + len(_windows(uv_px.shape[1])))
     # The blocks are small: BLAS's own threads would wait for each other longer than they work, thirty times on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
-        state, _, first, _ = _minimise(trial, _start(trial, start), WIDE_LOSS, shared=False)
-        state, sigma_px, second, _ = _minimise(trial, state, LOSS, shared=False)
-        trial, swapped = _unswap_legs(trial, state, sigma_px)
-        state, sigma_px, third, converged = _fit_shared(trial, state)
-        return _report(trial, state, sigma_px, start, swapped, converged, first + second + third)
+        solved = _solve_sample(_part(trial, chosen), replace(state, q=state.q[chosen]), progress)
+        belief = _believe(solved)
+        if len(chosen) == uv_px.shape[1]:
+            parts = [_describe(solved, belief, slice(None))]
+        else:
+            parts = []
+            for window, keep in _windows(uv_px.shape[1]):
+                frames = np.arange(window.start, window.stop)
+                own = _solve_window(_part(trial, frames), replace(solved.state, q=state.q[frames]), progress)
+                parts.append(_describe(own, belief, keep))
+    return _report(solved, belief, parts, start)
 
 
-def _fit_shared(trial: Trial, state: State) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
-    """Estimate what is shared together with the motion; in a long trial on a sample of it, then the motion of all of it."""
-    frames = len(state.q)
-    if frames <= MOST_SHARED_FRAMES:
-        return _minimise(trial, state, LOSS, shared=True)
-    chosen = _windows(frames)
-    sample = replace(
+class _Stages:
+    """Turns iterations, whose number nobody knows beforehand, into a share that only grows."""
+
+    def __init__(self, report: Callable[[float], None] | None, count: int) -> None:
+        self._report, self._count, self._stage, self._iteration = report, count, 0, 0
+
+    def iterate(self) -> None:
+        """Count an iteration; half of what is left of the stage is thought to take five."""
+        self._iteration += 1
+        if self._report is not None:
+            self._report((self._stage + 1.0 - 0.5 ** (self._iteration / 5)) / self._count)
+
+    def finish(self) -> None:
+        """Count a stage."""
+        self._stage, self._iteration = self._stage + 1, 0
+
+
+class _Solved(NamedTuple):
+    """A solved stretch of a trial; with the legs in place."""
+
+    trial: Trial
+    state: State
+    sigma_px: Float[np.ndarray, " camera"]
+    swapped: Bool[np.ndarray, "camera frame"]
+    converged: bool
+    iterations: int
+
+
+class _Belief(NamedTuple):
+    """What the sample says of the trial: what a residual's information is worth, and how well the geometry is known."""
+
+    repeat: float
+    data_share: float
+    shared_covariance: Float[np.ndarray, "shared shared"]
+
+
+class _Part(NamedTuple):
+    """What is reported of a stretch."""
+
+    q: Float[np.ndarray, "frame coordinate"]
+    covariance: Float[np.ndarray, "frame free free"]
+    seen: Bool[np.ndarray, " frame"]
+    swapped: Bool[np.ndarray, "camera frame"]
+    kept: int
+    observations: int
+    converged: bool
+    iterations: int
+
+
+def _solve_sample(trial: Trial, start: State, progress: _Stages) -> _Solved:
+    """Solve for the motion first, then for what is shared along with it."""
+    state, _, first, _ = _minimise(trial, start, WIDE_LOSS, ROUGH_TOLERANCE, progress, shared=False)
+    state, sigma_px, second, _ = _minimise(trial, state, LOSS, ROUGH_TOLERANCE, progress, shared=False)
+    trial, swapped = _unswap_legs(trial, state, sigma_px)
+    trial = replace(trial, repeat=_repeat(trial, state, sigma_px))
+    state, sigma_px, third, converged = _minimise(trial, state, LOSS, COST_TOLERANCE, progress, shared=True)
+    return _Solved(replace(trial, repeat=1.0), state, sigma_px, swapped, converged, first + second + third)
+
+
+def _solve_window(trial: Trial, start: State, progress: _Stages) -> _Solved:
+    """Solve for the motion of a stretch, with what is shared as it is."""
+    silent = _Stages(None, 1)
+    state, sigma_px, first, _ = _minimise(trial, start, WIDE_LOSS, ROUGH_TOLERANCE, silent, shared=False)
+    trial, swapped = _unswap_legs(trial, state, sigma_px)
+    state, sigma_px, second, converged = _minimise(trial, state, LOSS, COST_TOLERANCE, progress, shared=False)
+    return _Solved(trial, state, sigma_px, swapped, converged, first + second)
+
+
+def _repeat(trial: Trial, state: State, sigma_px: Float[np.ndarray, " camera"]) -> float:
+    """Give by how many frames the residuals repeat each other, once each camera's constant error is taken off."""
+    error = linearise(trial, state, sigma_px, LOSS, shared=False).data.error_px
+    whitened = np.nan_to_num(error) * (trial.confidence / sigma_px[:, None, None])[..., None]
+    weight = np.where(trial.confidence > 0, 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2), 0.0)[..., None]
+    whitened -= (weight * whitened).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+    inlier = ((whitened**2).sum(axis=-1) < LOSS**2) & (trial.confidence > 0)
+    return repeats(whitened, inlier)
+
+
+def _part(trial: Trial, frames: Int[np.ndarray, " chosen"]) -> Trial:
+    """Give some frames of a trial as a trial."""
+    return replace(
         trial,
-        uv_px=trial.uv_px[:, chosen],
-        confidence=trial.confidence[:, chosen],
-        consecutive=np.r_[True, np.diff(chosen) == 1],
+        uv_px=trial.uv_px[:, frames],
+        confidence=trial.confidence[:, frames],
+        consecutive=np.r_[True, np.diff(frames) == 1],
     )
-    fitted, _, first, _ = _minimise(sample, replace(state, q=state.q[chosen]), LOSS, shared=True)
-    state, sigma_px, second, converged = _minimise(trial, replace(fitted, q=state.q), LOSS, shared=False)
-    return state, sigma_px, first + second, converged
 
 
-def _windows(frames: int) -> np.ndarray:
-    """Choose ten stretches of consecutive frames, spread over the trial."""
+def _sample(frames: int) -> Int[np.ndarray, " chosen"]:
+    """Choose all frames of a short trial, else ten stretches of consecutive frames, spread over it."""
+    if frames <= MOST_SHARED_FRAMES:
+        return np.arange(frames)
     length = MOST_SHARED_FRAMES // 10
     starts = np.linspace(0, frames - length, 10).astype(int)
     return np.unique(np.concatenate([np.arange(first, first + length) for first in starts]))
+
+
+def _windows(frames: int) -> list[tuple[slice, slice]]:
+    """Give the windows of a trial that is too long for one, and which of its own frames each of them keeps."""
+    if frames <= MOST_SHARED_FRAMES:
+        return []
+    edges = np.linspace(0, frames, max(1, round(frames / WINDOW_FRAMES)) + 1).astype(int)
+    windows: list[tuple[slice, slice]] = []
+    for first, last in pairwise(edges.tolist()):
+        begin, end = max(first - OVERLAP_FRAMES, 0), min(last + OVERLAP_FRAMES, frames)
+        windows.append((slice(begin, end), slice(first - begin, last - begin)))
+    return windows
 
 
 def _start(trial: Trial, start: Motion) -> State:
@@ -152,13 +269,14 @@ def _start(trial: Trial, start: Motion) -> State:
 
 
 def _minimise(
-    trial: Trial, state: State, loss_scale: float, *, shared: bool
+    trial: Trial, state: State, loss_scale: float, tolerance: float, progress: _Stages, *, shared: bool
 ) -> tuple[State, Float[np.ndarray, " camera"], int, bool]:
     """Levenberg-Marquardt; the noise level is estimated where it starts and once more where it has settled."""
     sigma_px = _noise_px(trial, state)
     equations = linearise(trial, state, sigma_px, loss_scale, shared=shared)
     damping, settled = 1e-4, False
     for iteration in range(1, MAX_ITERATIONS + 1):
+        progress.iterate()
         change = step(trial, equations, damping, shared=shared)
         largest = float(np.abs(change.q).max())
         if largest > LARGEST_STEP_RAD:
@@ -170,12 +288,14 @@ def _minimise(
             state, equations, damping = trial_state, trial_equations, max(0.2 * damping, 1e-7)
         else:
             damping *= 10.0
-        if largest < TOLERANCE_RAD or abs(gain) < COST_TOLERANCE * equations.cost:
+        if largest < TOLERANCE_RAD or abs(gain) < tolerance * equations.cost:
             if settled:
+                progress.finish()
                 return state, sigma_px, iteration, True
             settled = True
             sigma_px = _noise_px(trial, state)
             equations = linearise(trial, state, sigma_px, loss_scale, shared=shared)
+    progress.finish()
     return state, sigma_px, MAX_ITERATIONS, False
 
 
@@ -189,7 +309,7 @@ def _noise_px(trial: Trial, state: State) -> Float[np.ndarray, " camera"]:
     levels = [
         np.sqrt(np.nanmedian(w[s]) / 1.386) if s.sum() > 50 else pooled for w, s in zip(weighted, seen, strict=True)
     ]
-    return np.maximum(levels, 0.05)
+    return np.maximum(levels, SHARPEST * trial.priors.bias_sd_px)
 
 
 def _unswap_legs(
@@ -230,40 +350,56 @@ def _unswap_legs(
     )
 
 
-def _report(
-    trial: Trial,
-    state: State,
-    sigma_px: Float[np.ndarray, " camera"],
-    start: Motion,
-    swapped: Bool[np.ndarray, "camera frame"],
-    converged: bool,
-    iterations: int,
-) -> PixelFit:
-    """Pack the result, with a covariance that knows how much the residuals repeat each other."""
-    frames, count = len(state.q), len(trial.model.coordinates.names)
-    shared = frames <= MOST_SHARED_FRAMES
-    equations = linearise(trial, state, sigma_px, LOSS, shared=shared)
-    error = equations.data.error_px
-    whitened = error * (trial.confidence / sigma_px[:, None, None])[..., None]
-    squared = (whitened**2).sum(axis=-1)
-    weight = 1.0 / (1.0 + squared / LOSS**2)
+def _believe(solved: _Solved) -> _Belief:
+    """Weigh a sample's residuals against each other, and find how well the geometry is known."""
+    trial = solved.trial
+    equations = linearise(trial, solved.state, solved.sigma_px, LOSS, shared=True)
+    whitened = equations.data.error_px * (trial.confidence / solved.sigma_px[:, None, None])[..., None]
+    weight = 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2)
     seen = trial.confidence > 0
-    repeat = residual_correlation_frames(whitened, (weight > 0.5) & seen)
-    share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * repeat)
-    covariance, _ = frame_covariance(trial, equations, share, shared=shared)
+    repeat = repeats(whitened, (weight > 0.5) & seen)
+    data_share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * repeat)
+    return _Belief(repeat, data_share, shared_covariance(trial, equations, data_share))
+
+
+def _describe(solved: _Solved, belief: _Belief, keep: slice) -> _Part:
+    """Collect what is reported of the frames that are kept, with a covariance that knows how residuals repeat each other."""
+    trial = solved.trial
+    equations = linearise(trial, solved.state, solved.sigma_px, LOSS, shared=True)
+    error = equations.data.error_px
+    squared = (error**2).sum(axis=-1) * (trial.confidence / solved.sigma_px[:, None, None]) ** 2
+    seen = trial.confidence[:, keep] > 0
+    covariance = frame_covariance(trial, equations, belief.data_share, belief.shared_covariance)
+    return _Part(
+        q=solved.state.q[keep],
+        covariance=covariance[keep],
+        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= 2,
+        swapped=solved.swapped[:, keep],
+        kept=int(((squared[:, keep] < LOSS**2) & seen).sum()),
+        observations=int(seen.sum()),
+        converged=solved.converged,
+        iterations=solved.iterations,
+    )
+
+
+def _report(solved: _Solved, belief: _Belief, parts: list[_Part], start: Motion) -> PixelFit:
+    """Put the parts together."""
+    trial, state = solved.trial, solved.state
+    frames, count = len(start.times_s), len(trial.model.coordinates.names)
     full = np.zeros((frames, count, count))
-    full[:, trial.free[:, None], trial.free] = covariance
+    full[:, trial.free[:, None], trial.free] = np.concatenate([part.covariance for part in parts])
     model = personalise(trial.model, trial.priors, state)
-    blind = _blind(seen.any(axis=2).sum(axis=0) >= 2, start.times_s)
+    blind = _blind(np.concatenate([part.seen for part in parts]), start.times_s)
+    converged = solved.converged and all(part.converged for part in parts)
     status = np.where(blind, TOO_FEW_MARKERS, SOLVED if converged else NOT_CONVERGED).astype(np.uint8)
     return PixelFit(
         motion=Motion(
             coordinate_names=trial.model.coordinates.names,
             rotational=trial.model.coordinates.rotational,
             times_s=start.times_s,
-            values=np.where(blind[:, None], np.nan, couple(model, state.q)),
+            values=np.where(blind[:, None], np.nan, couple(model, np.concatenate([part.q for part in parts]))),
             status=status,
-            iterations=np.full(frames, iterations),
+            iterations=np.concatenate([np.full(len(part.q), part.iterations) for part in parts]),
             residual_rms_m=start.residual_rms_m,
             covariance=np.where(blind[:, None, None], np.nan, full),
         ),
@@ -272,44 +408,23 @@ def _report(
         body_factor=body_factor(trial.priors, state),
         offset_m=state.offset_m,
         bias_px=state.bias_px,
-        sigma_px=sigma_px,
-        residual_px=error,
-        inlier_share=float((weight[seen] > 0.5).mean()) if seen.any() else 0.0,
-        correlation_frames=repeat,
-        swapped=swapped,
+        sigma_px=solved.sigma_px,
+        inlier_share=sum(part.kept for part in parts) / max(sum(part.observations for part in parts), 1),
+        correlation_frames=belief.repeat,
+        swapped=np.concatenate([part.swapped for part in parts], axis=1),
         converged=converged,
-        iterations=iterations,
+        iterations=solved.iterations,
     )
 
 
 def _blind(seen: Bool[np.ndarray, " frame"], times_s: Float[np.ndarray, " frame"]) -> Bool[np.ndarray, " frame"]:
-    """Mark the frames that are too far from any in which two cameras saw the subject."""
-    known = np.flatnonzero(seen)
-    if known.size == 0:
-        return np.ones(len(seen), dtype=bool)
-    after = np.searchsorted(known, np.arange(len(seen)))
-    before, after = known[np.maximum(after - 1, 0)], known[np.minimum(after, known.size - 1)]
-    away = np.minimum(np.abs(times_s - times_s[before]), np.abs(times_s[after] - times_s))
-    return away > LONGEST_BLIND_S / 2
-
-
-def residual_correlation_frames(
-    whitened: Float[np.ndarray, "camera frame marker 2"], inlier: Bool[np.ndarray, "camera frame marker"]
-) -> float:
-    """Give by how many frames inlying residuals repeat each other: 1 + 2 Σ ρ(lag), up to the first ρ below 0.05."""
-    values = np.where(inlier[..., None], whitened, 0.0)
-    counts = inlier.astype(float)
-    variance = (values**2).sum() / max(2 * counts.sum(), 1.0)
-    total = 1.0
-    for lag in range(1, whitened.shape[1] // 4):
-        pairs = (counts[:, lag:] * counts[:, :-lag]).sum()
-        if pairs == 0 or variance == 0:
-            break
-        rho = (values[:, lag:] * values[:, :-lag]).sum() / (2 * pairs * variance)
-        if rho < 0.05:
-            break
-        total += 2 * float(rho)
-    return total
+    """Mark the frames in longer spans between those in which two cameras saw the subject, and beyond their ends."""
+    at_s = times_s[seen]
+    after = np.searchsorted(at_s, times_s)
+    inner = (after > 0) & (after < len(at_s))
+    span_s = np.full(len(seen), np.inf)
+    span_s[inner] = at_s[after[inner]] - at_s[after[inner] - 1]
+    return ~seen & (span_s > LONGEST_BLIND_S + 1e-6)
 
 
 def loss_efficiency(whitened: Float[np.ndarray, "observation 2"], weight: Float[np.ndarray, " observation"]) -> float:

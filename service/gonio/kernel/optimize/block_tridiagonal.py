@@ -26,13 +26,21 @@ class Factor:
 
     def solve(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
         """Give ``H⁻¹ right``."""
+        return self.solve_upper(self.solve_lower(right))
+
+    def solve_lower(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
+        """Give ``L⁻¹ right``, with ``H = L L'``."""
         x = np.empty_like(right)
-        blocks = len(self.diagonal)
-        for i in range(blocks):
+        for i in range(len(right)):
             carried = right[i] - self.below[i - 1] @ x[i - 1] if i else right[i]
             x[i] = _solve_lower(self.diagonal[i], carried)
-        for i in range(blocks - 1, -1, -1):
-            carried = x[i] - self.below[i].T @ x[i + 1] if i < blocks - 1 else x[i]
+        return x
+
+    def solve_upper(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
+        """Give ``L⁻ᵀ right``."""
+        x, last = np.empty_like(right), len(right) - 1
+        for i in range(last, -1, -1):
+            carried = right[i] - self.below[i].T @ x[i + 1] if i < last else right[i]
             x[i] = _solve_lower(self.diagonal[i], carried, transposed=True)
         return x
 
@@ -77,10 +85,9 @@ def _solve_lower(L: np.ndarray, right: np.ndarray, *, transposed: bool = False) 
 
 @dataclass(frozen=True)
 class BorderedFactor:
-    """A factorised bordered system: ``carried = H⁻¹ B`` and the border's own factor (Schur's complement)."""
+    """A factorised bordered system: ``carried = L⁻¹ B``, and the border's own factor, of Schur's complement."""
 
     inner: Factor
-    border: Float[np.ndarray, "block size shared"]
     carried: Float[np.ndarray, "block size shared"]
     schur: Float[np.ndarray, "shared shared"]
 
@@ -88,18 +95,16 @@ class BorderedFactor:
         self, g: Float[np.ndarray, "block size"], h: Float[np.ndarray, " shared"]
     ) -> tuple[Float[np.ndarray, "block size"], Float[np.ndarray, " shared"]]:
         """Give ``x`` and ``y``."""
-        inner = self.inner.solve(g[..., None])[..., 0]
-        rest = h - self.border.reshape(-1, len(h)).T @ inner.ravel()
+        own = self.inner.solve_lower(g[..., None])[..., 0]
+        rest = h - self.carried.reshape(-1, len(h)).T @ own.ravel()
         y = solve_triangular(self.schur, rest, lower=True, check_finite=False)
         y = solve_triangular(self.schur, y, lower=True, trans="T", check_finite=False)
-        return inner - self.carried @ y, y
+        return self.inner.solve_upper((own - self.carried @ y)[..., None])[..., 0], y
 
-    def inverse_diagonal(self) -> tuple[Float[np.ndarray, "block size size"], Float[np.ndarray, "shared shared"]]:
-        """Give the diagonal blocks of the inverse: of the frames (what they share being unknown too), and of the border."""
+    def border_inverse(self) -> Float[np.ndarray, "shared shared"]:
+        """Give the border's block of the inverse."""
         own = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True, check_finite=False)
-        shared = own.T @ own
-        spread = self.carried @ own.T
-        return self.inner.inverse_diagonal() + spread @ spread.transpose(0, 2, 1), shared
+        return own.T @ own
 
 
 def factorise_bordered(
@@ -114,7 +119,6 @@ def factorise_bordered(
         numpy.linalg.LinAlgError: the matrix is not positive definite.
     """
     inner = factorise(diagonal, below)
-    carried = inner.solve(border)
-    shared = len(corner)
-    complement = corner - border.reshape(-1, shared).T @ carried.reshape(-1, shared)
-    return BorderedFactor(inner, border, carried, cholesky(complement, lower=True, check_finite=False))
+    carried = inner.solve_lower(border)
+    flat = carried.reshape(-1, len(corner))
+    return BorderedFactor(inner, carried, cholesky(corner - flat.T @ flat, lower=True, check_finite=False))

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from gonio.kernel.calibration.bundle import MAX_ITERATIONS, Bundle, adjust_poses
 from gonio.kernel.calibration.person import SAMPLE_HZ, SCALE_M, SIGMA_PX, held_out_error_px
 from gonio.kernel.geometry.cameras import undistort_rig
-from gonio.kernel.smoothing.filters import low_pass
+from gonio.kernel.synchronization.looks import image_velocity
 from gonio.records import ImagePoints, Rig, record
 
 Status = Literal["synchronous", "corrected", "unknown", "trusted"]
@@ -28,9 +28,6 @@ SMALLEST_DELAY_FRAMES = 0.3
 LARGEST_SD_FRAMES = 0.4
 SMALLEST_GAIN = 0.03
 """A correction must be known to less than half a frame, and lower the held-out error by this share."""
-
-VELOCITY_HZ = 6.0
-"""Noise in the velocities makes every delay look smaller than it is; so they are taken from smoothed tracks."""
 
 MOST_FRAMES = 60
 SEARCH_ITERATIONS = 6  # of the pose adjustment for a hypothesis: its cost is then within a few per cent of the end
@@ -98,39 +95,6 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
     return _judge(streams, lags, *_resolve(streams, lags))
 
 
-def shift(keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"]) -> ImagePoints:
-    """Put all cameras on the first one's clock.
-
-    Each observation goes to the frame nearest to the moment that it shows, and is moved there along its track by the rest of
-    a frame; where its velocity is not known it stays as it is, right to half a frame. Whole frames change nothing but the
-    place. What comes to lie beyond the ends is left out.
-    """
-    frames, rate_hz = keypoints.uv_px.shape[1], keypoints.timebase.rate_hz
-    velocity = np.full_like(keypoints.uv_px, np.nan)
-    sampled = keypoints.sampled
-    velocity[:, :: keypoints.stride] = image_velocity(sampled.uv_px, sampled.timebase.rate_hz)
-    uv_px, confidence = np.full_like(keypoints.uv_px, np.nan), np.zeros_like(keypoints.confidence)
-    for camera, delay in enumerate(delay_s * rate_hz):
-        shown = np.arange(frames) - delay  # the moment that each frame shows, in frames of the first camera
-        place = np.rint(shown + 1e-9).astype(int)
-        inside = (place >= 0) & (place < frames)
-        rest_s = ((place - shown) / rate_hz)[inside, None, None]
-        moved = keypoints.uv_px[camera, inside] + np.nan_to_num(velocity[camera, inside]) * rest_s
-        uv_px[camera, place[inside]] = moved
-        confidence[camera, place[inside]] = keypoints.confidence[camera, inside]
-    return replace(keypoints, uv_px=uv_px, confidence=confidence)
-
-
-def image_velocity(
-    uv_px: Float[np.ndarray, "camera frame keypoint 2"], rate_hz: float
-) -> Float[np.ndarray, "camera frame keypoint 2"]:
-    """Give how fast keypoints move in the images, px/s, by central differences of smoothed tracks; NaN beside gaps."""
-    velocity = np.full_like(uv_px, np.nan)
-    smooth = np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
-    velocity[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) * rate_hz / 2
-    return velocity
-
-
 def trusted(rig: Rig) -> Synchronization:
     """Give the synchronization of cameras with a common trigger: nothing was looked at, and nothing is changed."""
     return replace(_unknown(rig), status="trusted")
@@ -188,7 +152,11 @@ def _resolve(streams: _Streams, lags: Int[np.ndarray, " camera"]) -> tuple[Float
 
 
 def _search(streams: _Streams) -> Int[np.ndarray, " camera"]:
-    """Find the whole-frame lags by coordinate descent: one camera at a time, coarse steps first, until none improves."""
+    """Find the whole-frame lags by coordinate descent: one camera at a time, coarse steps first, until none improves.
+
+    The first camera takes its turn too: what moves it against all others moves all their lags, and one by one they would not
+    go, since each would leave the rest.
+    """
     lags = np.zeros(len(streams.rig.cameras), dtype=int)
     costs: dict[tuple[int, ...], float] = {}
 
@@ -203,11 +171,13 @@ def _search(streams: _Streams) -> Int[np.ndarray, " camera"]:
         improving = True
         while improving:
             before = lags
-            for camera in range(1, len(lags)):
-                near = np.arange(lags[camera] - span, lags[camera] + span + 1, step)
-                for lag in near[np.abs(near) <= streams.reach]:
-                    trial = np.where(np.arange(len(lags)) == camera, lag, lags)
-                    lags = trial if cost(trial) < cost(lags) else lags
+            for camera in range(len(lags)):
+                moving = np.arange(len(lags)) != 0 if camera == 0 else np.arange(len(lags)) == camera
+                start = lags
+                for change in range(-span, span + 1, step):
+                    trial = start + change * moving
+                    if np.abs(trial).max() <= streams.reach and cost(trial) < cost(lags):
+                        lags = trial
             improving = not np.array_equal(before, lags)
         if step == 1:
             return lags

@@ -17,6 +17,8 @@ from numba import njit
 from gonio.kernel.body.tree import Array
 from gonio.kernel.optimize.banded import factorise, invert_within, substitute
 from gonio.kernel.parallel import over_blocks
+from gonio.kernel.smoothing.correlation import repeats
+from gonio.kernel.smoothing.filters import median_filter
 from gonio.records import FILLED, MEASURED, MISSING, LabPoints, record
 
 SIGMA_PX = 6.0
@@ -28,6 +30,18 @@ SCALES_M = (0.15, 0.10, 0.07, 0.05, 0.04, 0.03, 0.03, 0.03)
 BAND = 12  # three coordinates a frame, coupled with the three frames before: 3 · 3 + 3
 LOWEST_INFORMATION = 1e-6  # 1/m²: a track without any observation stays where it started
 
+AGREE_M = 0.05
+"""A camera agrees with a point that it misses by less: the narrowest loss above then leaves it a quarter of its weight."""
+
+JUMP_M, JUMP_TAPS, JUMP_STEP_S = 0.15, 11, 0.05
+"""A point that is so far from the median of the half second around it is no start: outliers last for up to a third of one."""
+
+KEPT = 0.25
+"""A camera counts as having seen a point where the loss leaves it more than this share of its weight."""
+
+MOST_JUDGED = 200
+"""Moments of which it is computed what they would say alone."""
+
 LONGEST_SPAN_S = 0.2
 """Observations that are farther apart leave a gap: the track between them would be invented."""
 
@@ -36,7 +50,8 @@ LONGEST_SPAN_S = 0.2
 class FusedTracks:
     """Tracks in the lab, their covariance, and which observations the loss kept.
 
-    ``covariance_m2`` is the posterior's for independent errors. ``camera_weight`` is 0 to 1, 0 where nothing was observed.
+    ``covariance_m2`` is the posterior's, made as large as the residuals say (:func:`_inflation`). ``camera_weight`` is 0 to 1,
+    0 where nothing was observed.
     """
 
     xyz_lab_m: Float[np.ndarray, "frame keypoint 3"]
@@ -60,16 +75,17 @@ def fuse(
         projections: ``K [R|t]`` of each camera.
         focal_px: Mean focal length of each camera.
         uv_px: Undistorted observations; NaN is missing.
-        confidence: Their weights; 0 is missing.
-        start: Points to start from, as triangulated frame by frame; NaN is filled by straight lines.
+        confidence: Theirs; an observation weighs by its square, as in ``robust`` triangulation; 0 is missing.
+        start: Points to start from, as triangulated frame by frame. NaN is filled by straight lines, and so is what only
+            half of the cameras support, or what jumps: there the rest of the track decides which cameras are right.
         rate_hz: Of the frames.
         cutoff_hz: Where the penalty begins to win over the observations of one camera: about the bandwidth of the track.
 
     A keypoint that was triangulated in fewer than two frames is NaN.
     """
     frames, keypoints = confidence.shape[1:]
-    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0)
-    xyz = _filled(start)
+    weight = np.where(np.isfinite(uv_px).all(axis=-1) & (confidence > 0), confidence, 0.0) ** 2
+    xyz = _filled(_plausible(start, projections, focal_px, uv_px, weight, rate_hz))
     depth_m = np.einsum("ci,fki->cfk", projections[:, 2, :3], xyz) + projections[:, 2, 3, None, None]
     px_per_m = focal_px[:, None, None] / np.maximum(depth_m, 0.1)
     # One camera's information at the usual distance, spread over three directions, balanced against the penalty at cutoff.
@@ -89,17 +105,70 @@ def fuse(
                 xyz[:, k], covariance[:, k], kept[:, :, k] = fused
 
     over_blocks(solve, keypoints, 1)
+    covariance *= _inflation(projections, seen, weight, xyz, covariance, kept)[:, None, None]
     return FusedTracks(xyz_lab_m=xyz, covariance_m2=covariance, camera_weight=kept)
+
+
+def _inflation(
+    projections: Float[np.ndarray, "camera 3 4"],
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"],
+    weight: Float[np.ndarray, "camera frame keypoint"],
+    xyz_lab_m: Float[np.ndarray, "frame keypoint 3"],
+    covariance_m2: Float[np.ndarray, "frame keypoint 3 3"],
+    kept: Float[np.ndarray, "camera frame keypoint"],
+) -> Float[np.ndarray, " keypoint"]:
+    """Give the factor by which each keypoint's posterior covariance is too small, or too large.
+
+    The posterior takes every observation for one of :data:`SIGMA_PX` that errs by itself. The residuals tell how large the
+    errors are, each camera's constant ones included: their level, by keypoint, as the track has drawn off three of each
+    moment's degrees of freedom. They also tell how long errors last: a mean over less than that is no better than one moment.
+    """
+    keypoints = xyz_lab_m.shape[1]
+    chosen = np.arange(0, len(xyz_lab_m), max(1, len(xyz_lab_m) // MOST_JUDGED))
+    homogeneous = np.einsum("cij,fkj->cfki", projections[..., :3], xyz_lab_m) + projections[:, None, None, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = (uv_px - homogeneous[..., :2] / homogeneous[..., 2:]) * np.sqrt(weight)[..., None] / SIGMA_PX
+    inlier = (kept > KEPT) & ((kept > KEPT).sum(axis=0) >= 2)
+    last = repeats(np.where(inlier[..., None], error, 0.0), inlier)
+    factor = np.ones(keypoints)
+    for k in range(keypoints):
+        seen = inlier[..., k]
+        if not seen.any() or not np.isfinite(covariance_m2[:, k]).all():
+            continue
+        cameras = seen.sum() / seen.any(axis=0).sum()
+        # Half of all |e|² of two normals lie below 1.386.
+        level = np.median((error[:, :, k][seen] ** 2).sum(axis=-1)) / 1.386 * 2.0 * cameras / (2.0 * cameras - 3.0)
+        moments = chosen[seen[:, chosen].any(axis=0)]
+        single = _single_moment_m2(projections, homogeneous[:, moments, k], (weight * kept)[:, moments, k])
+        fused = np.trace(covariance_m2[moments, k], axis1=1, axis2=2)
+        factor[k] = level * np.clip(last, 1.0, max(1.0, float(np.median(single / fused)))) if len(moments) else 1.0
+    return factor
+
+
+def _single_moment_m2(
+    projections: Float[np.ndarray, "camera 3 4"],
+    homogeneous: Float[np.ndarray, "camera moment 3"],
+    weight: Float[np.ndarray, "camera moment"],
+) -> Float[np.ndarray, " moment"]:
+    """Give the variance (its trace) that a point would have from one moment's observations alone."""
+    slope = (
+        projections[:, None, :2, :3]
+        - (homogeneous[..., :2] / homogeneous[..., 2:])[..., None] * projections[:, None, 2:, :3]
+    )
+    slope /= homogeneous[..., 2:, None]
+    information = np.einsum("cm,cmai,cmaj->mij", weight / SIGMA_PX**2, slope, slope) + LOWEST_INFORMATION * np.eye(3)
+    return np.trace(np.linalg.inv(information), axis1=1, axis2=2)
 
 
 def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
     """Put the tracks into the points, with gaps where observations are too far apart and marks where they were filled.
 
-    A frame counts as observed where at least two cameras keep more than a quarter of their weight.
+    A frame counts as observed where at least two cameras keep more than a quarter of their weight. Between two observed
+    frames that are at most :data:`LONGEST_SPAN_S` apart a track is filled; in a longer span, and before the first and after
+    the last observed frame, there is nothing.
     """
-    observed = (tracks.camera_weight > 0.25).sum(axis=0) >= 2
-    away = _frames_to_nearest(observed) / points.timebase.rate_hz
-    lost = away > LONGEST_SPAN_S / 2
+    observed = (tracks.camera_weight > KEPT).sum(axis=0) >= 2
+    lost = _span_frames(observed) > LONGEST_SPAN_S * points.timebase.rate_hz + 1e-6
     origin = np.where(observed, MEASURED, np.where(lost, MISSING, FILLED)).astype(np.uint8)
     return replace(
         points,
@@ -109,12 +178,39 @@ def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
     )
 
 
-def _frames_to_nearest(observed: np.ndarray) -> Float[np.ndarray, "frame keypoint"]:
-    """Give each frame's distance to the nearest observed one, in frames; infinite without any."""
+def _span_frames(observed: np.ndarray) -> Float[np.ndarray, "frame keypoint"]:
+    """Give how far the observed frames on both sides of each frame are apart: 0 on one, infinite beyond the ends."""
     frames = np.arange(len(observed))[:, None]
     before = np.maximum.accumulate(np.where(observed, frames, -np.inf), axis=0)
     after = np.minimum.accumulate(np.where(observed, frames, np.inf)[::-1], axis=0)[::-1]
-    return np.minimum(frames - before, after - frames)
+    return after - before
+
+
+def _plausible(
+    start: Float[np.ndarray, "frame keypoint 3"],
+    projections: Float[np.ndarray, "camera 3 4"],
+    focal_px: Float[np.ndarray, " camera"],
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"],
+    weight: Float[np.ndarray, "camera frame keypoint"],
+    rate_hz: float,
+) -> Float[np.ndarray, "frame keypoint 3"]:
+    """Leave out of a start what may be an outlier's explanation, unless that is most of the track.
+
+    Two cameras that err together can be as consistent as the two that don't; then a single frame can't tell who is right.
+    """
+    agreeing, seeing = np.zeros(start.shape[:2]), (weight > 0).sum(axis=0)
+    for P, focal, uv, used in zip(projections, focal_px, uv_px, weight, strict=True):
+        homogeneous = start @ P[:, :3].T + P[:, 3]
+        miss_px = np.linalg.norm(uv - homogeneous[..., :2] / homogeneous[..., 2:], axis=-1)
+        agreeing += (used > 0) & (miss_px * homogeneous[..., 2] < AGREE_M * focal)
+    kept = np.where((agreeing > seeing / 2)[..., None], start, np.nan)
+    step = max(1, round(JUMP_STEP_S * rate_hz))
+    for phase in range(step):
+        points = kept[phase::step]
+        away = np.linalg.norm(points - median_filter(points, JUMP_TAPS), axis=-1)
+        points[away > JUMP_M] = np.nan
+    few = np.isfinite(kept[..., 0]).sum(axis=0) < np.isfinite(start[..., 0]).sum(axis=0) / 2
+    return np.where(few[:, None], start, kept)
 
 
 def _filled(start: Float[np.ndarray, "frame keypoint 3"]) -> Float[np.ndarray, "frame keypoint 3"]:

@@ -26,12 +26,13 @@ def linear_point(projections: Array, uv_px: Array, weight: Array) -> tuple[Array
     determined (at least two rays that are not parallel).
     """
     normal = np.zeros((3, 3))
-    right = np.zeros(3)
+    right, row = np.zeros(3), np.empty(4)
     for c in range(projections.shape[0]):
         if weight[c] <= 0.0:
             continue
         for axis in range(2):
-            row = uv_px[c, axis] * projections[c, 2] - projections[c, axis]
+            for i in range(4):
+                row[i] = uv_px[c, axis] * projections[c, 2, i] - projections[c, axis, i]
             scale = weight[c] / (row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
             for i in range(3):
                 right[i] -= scale * row[i] * row[3]
@@ -209,7 +210,7 @@ def refine_point(
         if not solvable:
             return x, TOO_FEW_CAMERAS
         trial = x + step
-        length = np.sqrt((step**2).sum())
+        length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         trial_cost = np.inf
         better = reprojection(projections, uv_px, weight, trial, trial_residual, trial_depth)
         if better:

@@ -1,0 +1,1 @@
+"""The parts of the bench ``reconstruction``: from keypoints in the images to points and motion."""
