@@ -172,7 +172,7 @@ def compare(views: BoardViews, earlier: Calibration) -> Outcome[RigCheck]:
     optics = tuple(intrinsics_of(camera, "the earlier calibration") for camera in earlier.rig.cameras)
     check = check_rig(views, optics, earlier.rig)
     findings = [
-        finding("camera-moved", where=name, value=float(shift))
+        finding("camera-displaced", where=name, value=float(shift))
         for name, shift, moved in zip(check.camera_names, check.shift_px, check.moved, strict=True)
         if moved
     ]

@@ -56,7 +56,7 @@ KINDS: dict[str, Kind] = {
         "Check the places of the floor points, or that the board lay flat and still.",
         "mm",
     ),
-    "camera-moved": Kind(
+    "camera-displaced": Kind(
         "serious",
         "comparison",
         "Camera {where} no longer stands where the earlier calibration has it: its picture of the board is off by "

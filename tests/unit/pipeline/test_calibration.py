@@ -95,7 +95,7 @@ def test_the_same_rig_is_checked_later_and_keeps_its_lab(calibrated, films, sess
     assert again is not None
     codes = {finding.code for finding in again.findings}
     assert "cameras-steady" in codes
-    assert codes.isdisjoint({"camera-moved", "lab-guessed", "lens-from-session"})
+    assert codes.isdisjoint({"camera-displaced", "lab-guessed", "lens-from-session"})
     np.testing.assert_allclose(again.rig.cameras[0].T_lab_cam, calibration.rig.cameras[0].T_lab_cam, atol=0.02)
     assert "stands as it stood" in result.page.read_text()
 
@@ -132,7 +132,7 @@ def test_cameras_that_moved_or_were_not_seen_are_named(session):
     turn[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.02, 0.0]))[0]
     cameras[2] = replace(cameras[2], T_lab_cam=cameras[2].T_lab_cam @ turn)
     calibration = _bare(session, tuple(cameras))
-    assert [(f.code, f.where) for f in compare(session.views, calibration).findings] == [("camera-moved", "cam3")]
+    assert [(f.code, f.where) for f in compare(session.views, calibration).findings] == [("camera-displaced", "cam3")]
     other = replace(session.views, camera_names=("cam1", "cam2", "cam9"))
     assert ("camera-not-checked", "cam3") in [(f.code, f.where) for f in compare(other, calibration).findings]
 
