@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gonio.kernel.calibration.intrinsics import coverage
 from gonio.kernel.calibration.planar_pose import MIN_CORNERS
 from gonio.kernel.geometry.cameras import project, undistort
-from gonio.kernel.geometry.transforms import apply, transform
+from gonio.kernel.geometry.transforms import align, apply, transform
 from gonio.kernel.triangulation.points import triangulate
 from gonio.kernel.virtual_lab import make_rig
 from gonio.records import Board, BoardViews, Camera, Intrinsics, Rig
@@ -264,6 +264,5 @@ def volume_error_mm(cameras: tuple[Camera, ...], truth: Rig) -> float:
     solved = triangulate(np.stack(projections), focal_px, np.stack(uv_px), weight, method="reprojection").xyz_lab_m
     seen = np.isfinite(solved[:, 0])
     grid, solved = grid[seen], solved[seen]
-    here, there = grid - grid.mean(axis=0), solved - solved.mean(axis=0)
-    turned = Rotation.align_vectors(here, there)[0].apply(there)
-    return 1e3 * float(np.sqrt(((turned - here) ** 2).sum(axis=1).mean()))
+    turned = apply(align(solved, grid), solved)
+    return 1e3 * float(np.sqrt(((turned - grid) ** 2).sum(axis=1).mean()))

@@ -19,6 +19,7 @@ from gonio.bench.points.chain import choose, find_points
 from gonio.demo.recording import Recording, ensure_recording
 from gonio.errors import GonioError, ResourceError
 from gonio.formats.trc import read_trc
+from gonio.kernel.geometry.transforms import align, apply
 from gonio.pipeline import analyse
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.keypoints import DETECTOR
@@ -162,13 +163,10 @@ def _jittered(region: Region, rng: np.random.Generator) -> Region:
 def _distances_m(track: Track, reference: Track) -> Float[np.ndarray, "frame keypoint"]:
     """Give the distances of points whose labs were turned and whose cameras were refined each for itself.
 
-    A rigid motion of all points is of no account to a gait: it is taken out first [Kabsch 1976].
+    A rigid motion of all points is of no account to a gait: it is taken out first.
     """
     both = np.isfinite(track[..., 0]) & np.isfinite(reference[..., 0])
     if not both.any():
         raise GonioError("The two ways share no point.", hint="Look at the reports of the two analyses.")
-    one, other = track[both] - track[both].mean(axis=0), reference[both] - reference[both].mean(axis=0)
-    u, _, vt = np.linalg.svd(one.T @ other)
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    turned = (track - track[both].mean(axis=0)) @ (u @ sign @ vt) + reference[both].mean(axis=0)
+    turned = apply(align(track[both], reference[both]), track)
     return np.linalg.norm(turned - reference, axis=-1)

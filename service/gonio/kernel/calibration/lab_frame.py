@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from gonio.errors import CaptureError, InputError
-from gonio.kernel.geometry.transforms import apply, transform
+from gonio.kernel.geometry.transforms import align, apply, transform
 from gonio.records import LabFrame
 
 WALKED_M = 1.0
@@ -72,26 +72,25 @@ def lab_from_board(
 
 
 def lab_from_points(xyz_ref_m: Float[np.ndarray, "point 3"], xyz_lab_m: Float[np.ndarray, "point 3"]) -> LabFrame:
-    """Take the lab from points whose places in it were measured, by the best rigid motion [Kabsch 1976].
+    """Take the lab from points whose places in it were measured, by the best rigid motion.
 
     Raises:
         InputError: ``floor-points-few``: fewer than three, or all on one line.
     """
     known = np.isfinite(xyz_ref_m[:, 0])
     here, there = xyz_lab_m[known], xyz_ref_m[known]
-    middle_here, middle_there = here.mean(axis=0), there.mean(axis=0)
-    spread = np.linalg.svd(here - middle_here, compute_uv=False) if known.sum() >= 3 else np.zeros(3)
+    spread = np.linalg.svd(here - here.mean(axis=0), compute_uv=False) if known.sum() >= 3 else np.zeros(3)
     if spread[1] < 0.05:
         raise InputError(
             f"{int(known.sum())} of the named points can be used, and they lie on one line or in one spot.",
             hint="Name at least three points that two cameras see, a metre apart and not on one line.",
             code="floor-points-few",
         )
-    turn = Rotation.align_vectors(here - middle_here, there - middle_there)[0].as_matrix()
-    misfit = (there - middle_there) @ turn.T - (here - middle_here)
+    T_lab_ref = align(there, here)
+    misfit = apply(T_lab_ref, there) - here
     rms = float(np.sqrt((misfit**2).sum(axis=1).mean()))
     return LabFrame(
-        T_lab_ref=transform(turn, middle_here - turn @ middle_there),
+        T_lab_ref=T_lab_ref,
         source="points",
         misfit_m=rms,
         tilt_sd_rad=float(rms / spread[1]),

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gonio.kernel.calibration.bundle import Bundle, adjust_poses
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
-from gonio.kernel.geometry.transforms import transform
+from gonio.kernel.geometry.transforms import align
 from gonio.kernel.triangulation.points import triangulate
 from gonio.records import ImagePoints, Rig, record
 
@@ -136,9 +136,7 @@ def _keep_lab(
     )
     miss_m = np.linalg.norm(there - here, axis=1)
     known = miss_m <= np.nanmedian(miss_m) * TYPICAL  # false for NaN
-    middle_there, middle_here = there[known].mean(axis=0), here[known].mean(axis=0)
-    turn = Rotation.align_vectors(there[known] - middle_there, here[known] - middle_here)[0].as_matrix()  # Kabsch 1976
-    T = transform(turn, middle_there - turn @ middle_here)
+    T = align(here[known], there[known])
     return replace(refined, cameras=tuple(replace(c, T_lab_cam=T @ c.T_lab_cam) for c in refined.cameras))
 
 

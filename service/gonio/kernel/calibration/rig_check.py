@@ -20,7 +20,7 @@ from gonio.kernel.calibration.held_out import some_cameras
 from gonio.kernel.calibration.pairwise import pose_in_rig
 from gonio.kernel.calibration.rig import RigSolution, solve_rig
 from gonio.kernel.geometry.cameras import project
-from gonio.kernel.geometry.transforms import apply, inverse, transform
+from gonio.kernel.geometry.transforms import align, apply, inverse
 from gonio.records import BoardViews, Intrinsics, Rig, RigCheck
 
 MOVED_PX = 1.5
@@ -134,5 +134,4 @@ class _Sweep:
         boards = pose_boards(observations, scene).Ts_ref_board
         there = np.concatenate([apply(T, self._corners_board_m) for T in boards])
         here = self._xyz_ref_m[known].reshape(-1, 3)
-        turn = Rotation.align_vectors(there - there.mean(axis=0), here - here.mean(axis=0))[0].as_matrix()
-        return transform(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
+        return align(here, there)

@@ -147,16 +147,6 @@ def anchor(priors: TrialPriors, motion: Motion) -> TrialPriors:
     return replace(priors, posture=posture, posture_sd=posture_sd)
 
 
-def without_geometry(priors: TrialPriors) -> TrialPriors:
-    """Give the priors of a subject whose geometry is known: no scale, no offset, no bias can move."""
-    return replace(
-        priors,
-        group_sd=np.full_like(priors.group_sd, 1e-9),
-        offset_sd_m=np.full_like(priors.offset_sd_m, 1e-9),
-        bias_sd_px=np.full_like(priors.bias_sd_px, 1e-9),
-    )
-
-
 def _seen_by_markers(model: BodyModel) -> Bool[np.ndarray, " coordinate"]:
     """Tell which coordinates move any marker, in a pose in which nothing is straight."""
     count = len(model.coordinates.names)
