@@ -16,8 +16,8 @@ import numpy as np
 
 from gonio.bench import Bench
 from gonio.bench.board_faults import measure_truth, measure_verdicts
-from gonio.bench.ik import EXAMPLE
 from gonio.bench.peers import peer_python, run_in_peer
+from gonio.bench.recordings import BALANCING, CALISCOPE_SESSION, need
 from gonio.errors import GonioError, ResourceError
 from gonio.formats.board_card import read_board_card
 from gonio.formats.calibration import read_intrinsics
@@ -39,8 +39,7 @@ from gonio.records import Board, BoardViews, Camera, Intrinsics, Rig
 from gonio.vision.boards import find_boards, video_pictures
 from gonio.vision.stills import still_pictures
 
-SESSION = EXAMPLE.parent / "caliscope_charuco"
-PHOTOGRAPHS = EXAMPLE.parent / "pose2sim_balancing" / "calibration" / "intrinsics"
+PHOTOGRAPHS = BALANCING / "calibration" / "intrinsics"
 RATE_HZ = 6.0
 TRUE_DELAY_MS = 100.0
 """By how much camera 1 of the session runs late: found in two sessions of that rig, and in both halves of each."""
@@ -63,15 +62,11 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 def _measure_session(bench: Bench, build_dir: Path) -> None:
     """Calibrate Caliscope's session from its videos to the cameras, and compare both halves of it."""
-    videos = sorted((SESSION / "calibration" / "extrinsic").glob("*.mp4"))
-    if not videos:
-        raise ResourceError(
-            "Caliscope's session is not there.", hint=f"Put it into {SESSION}.", code="bench-data-missing"
-        )
+    videos = sorted((need(CALISCOPE_SESSION) / "calibration" / "extrinsic").glob("*.mp4"))
     # The card says that the board is inverted; gonio is not told.
-    card = read_board_card(SESSION / "charuco.toml").board
+    card = read_board_card(CALISCOPE_SESSION / "charuco.toml").board
     board = replace(card, inverted=False)
-    optics = read_intrinsics(SESSION / "camera_array.toml")
+    optics = read_intrinsics(CALISCOPE_SESSION / "camera_array.toml")
     _warm_up(optics, board)
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
     tracks = find_boards({video.stem: video_pictures(video) for video in videos}, board)
@@ -148,7 +143,7 @@ def _measure_rivals(
     best_views = np.zeros(len(videos), dtype=int)
     totals: list[np.ndarray] = []
     for name, requirement, extra in (
-        ("caliscope", CALISCOPE, [SESSION / "camera_array.toml"]),
+        ("caliscope", CALISCOPE, [CALISCOPE_SESSION / "camera_array.toml"]),
         ("aniposelib", ANIPOSELIB, []),
     ):
         answer_path = folder / f"{name}_rig.npz"
@@ -204,11 +199,8 @@ def _rig_of(views: BoardViews, K: np.ndarray, lens: np.ndarray, Ts_cam: np.ndarr
 
 def _measure_photographs(bench: Bench, build_dir: Path) -> None:
     """Find the checkerboard in the balancing trial's photographs, and compare the lenses with Qualisys' own."""
+    need(BALANCING)
     folders = sorted(folder for folder in PHOTOGRAPHS.glob("*") if folder.is_dir())
-    if not folders:
-        raise ResourceError(
-            "The photographs are not there.", hint=f"Put them into {PHOTOGRAPHS}.", code="bench-data-missing"
-        )
     board = Board(name="balancing", kind="checkerboard", corners_across=4, corners_down=7, square_m=0.06)
     pictures = {folder.name: still_pictures(sorted(folder.glob("*.[jp][pn]g"))) for folder in folders}
     tracks = find_boards(pictures, board, thorough=True)

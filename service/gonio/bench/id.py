@@ -17,9 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.bench import Bench
-from gonio.bench.ik import EXAMPLE, PAIRS
+from gonio.bench.ik import PAIRS
 from gonio.bench.peers import peer_python, run_in_peer
-from gonio.errors import GonioError, ResourceError
+from gonio.bench.recordings import GAIT2354, need
+from gonio.errors import GonioError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import Table, read_mot, write_mot
 from gonio.formats.osim import read_osim
@@ -57,10 +58,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 
 def _compare_with_opensim(bench: Bench, build_dir: Path) -> None:
-    if not EXAMPLE.is_dir():
-        raise ResourceError(
-            "OpenSim's Gait2354 example is not there.", hint=f"Put it into {EXAMPLE}.", code="bench-data-missing"
-        )
+    need(GAIT2354)
     python = peer_python(build_dir, "opensim", "opensim==4.6")
     worst_nm = 0.0
     for name, vary in VARIANTS.items():
@@ -70,7 +68,7 @@ def _compare_with_opensim(bench: Bench, build_dir: Path) -> None:
         run_in_peer(python, "opensim_id", setup, setup.parent, ours)
         worst_nm = max(worst_nm, _largest_difference(read_mot(ours), setup.parent / "theirs.sto"))
         if name == "plain":
-            reference = EXAMPLE / "OutputReference" / "inverse_dynamics.sto"
+            reference = GAIT2354 / "OutputReference" / "inverse_dynamics.sto"
             difference_nm = _largest_difference(read_mot(ours), reference)
             opened = np.load(setup.parent / "read.npz")
             assert tuple(opened["labels"]) == read_mot(ours).labels
@@ -133,10 +131,10 @@ def _example(build_dir: Path, name: str) -> Path:
     """Copy the example; the reference's own model and motion are its input."""
     folder = (build_dir / "bench" / name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    for path in (p for p in EXAMPLE.iterdir() if p.is_file()):
+    for path in (p for p in GAIT2354.iterdir() if p.is_file()):
         shutil.copy(path, folder)
     for file in (MODEL, MOTION):
-        shutil.copy(EXAMPLE / "OutputReference" / file, folder)
+        shutil.copy(GAIT2354 / "OutputReference" / file, folder)
     return folder / SETUP
 
 

@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from gonio.bench import Bench
 from gonio.bench.peers import peer_python, run_in_peer
-from gonio.errors import GonioError, ResourceError
+from gonio.bench.recordings import GAIT2354, need
+from gonio.errors import GonioError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import read_mot, table_of_motion, write_mot
 from gonio.formats.osim import read_osim
@@ -29,7 +30,6 @@ from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.records import BodyModel, Motion, Tasks
 from gonio.resources import models_dir
 
-EXAMPLE = Path(__file__).resolve().parents[4] / "shared" / "data" / "opensim_gait2354"
 PAIRS = 7
 """Timed runs of either side, taken in turn; a ratio is the median over the pairs."""
 
@@ -47,10 +47,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 def _compare_with_opensim(bench: Bench, build_dir: Path) -> None:
     """Solve the whole example trial on both sides: angles first, then times in turn."""
-    if not EXAMPLE.is_dir():
-        raise ResourceError(
-            "OpenSim's Gait2354 example is not there.", hint=f"Put it into {EXAMPLE}.", code="bench-data-missing"
-        )
+    need(GAIT2354)
     python = peer_python(build_dir, "opensim", "opensim==4.6")
     setup = _whole_trial_setup(build_dir)
     ours = _run_tool(setup, build_dir / "bench" / "ik_gonio.mot")
@@ -78,8 +75,8 @@ def _whole_trial_setup(build_dir: Path) -> Path:
     folder = (build_dir / "bench" / "ik_example").resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("subject01_simbody.osim", "subject01_walk1.trc"):
-        (folder / name).write_bytes((EXAMPLE / name).read_bytes())
-    text = (EXAMPLE / "subject01_Setup_IK.xml").read_text()
+        (folder / name).write_bytes((GAIT2354 / name).read_bytes())
+    text = (GAIT2354 / "subject01_Setup_IK.xml").read_text()
     setup = folder / "setup.xml"
     setup.write_text(re.sub(r"<time_range>[^<]*<", "<time_range>0 2.5<", text))
     return setup

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.bench import Bench
-from gonio.bench.ik import EXAMPLE
-from gonio.errors import GonioError, ResourceError
+from gonio.bench.recordings import BALANCING, GAIT2354, need
+from gonio.errors import GonioError
 from gonio.formats.calibration import read_calibration
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import read_mot
@@ -27,7 +27,6 @@ from gonio.kernel.virtual_lab import PRESETS, Detector, Effects, SelfOcclusion, 
 from gonio.records import ImagePoints, Rig, Timebase
 from gonio.resources import models_dir
 
-BALANCING = EXAMPLE.parent / "pose2sim_balancing"
 BODY_25B = (
     "Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle RAnkle Neck Head "
     "LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
@@ -88,10 +87,7 @@ def read_balancing() -> tuple[Rig, ImagePoints]:
     Raises:
         ResourceError: the recording is not there.
     """
-    if not BALANCING.is_dir():
-        raise ResourceError(
-            "The balancing trial is not there.", hint=f"Put it into {BALANCING}.", code="bench-data-missing"
-        )
+    need(BALANCING)
     rig = read_calibration(BALANCING / "calibration" / "Calib.qca.txt")
     tracks = [
         _follow(sorted(folder.glob("*.json"))) for folder in sorted((BALANCING / "body25b_json/balancing").iterdir())
@@ -174,10 +170,7 @@ def measure_keypoints(rig: Rig, points: ImagePoints) -> dict[str, float]:
 
 
 def _compare_forces(bench: Bench) -> None:
-    if not EXAMPLE.is_dir():
-        raise ResourceError(
-            "OpenSim's Gait2354 example is not there.", hint=f"Put it into {EXAMPLE}.", code="bench-data-missing"
-        )
+    need(GAIT2354)
     real = _measure_plates()
     walker = walk(read_osim(models_dir() / "bodies" / "fullbody_male.osim"), 1.2)
     truth = truth_at(walker, (1.0 + np.arange(500) / 500) * walker.steps.stride_s)
@@ -196,9 +189,9 @@ _JOINTS = {"hip": "hip_flexion_r", "knee": "knee_angle_r", "ankle": "ankle_angle
 
 def _measure_plates() -> dict[str, float]:
     """Measure the right leg's one complete stance on the plates, and OpenSim's moments of that stride."""
-    plates = read_mot(EXAMPLE / "subject01_walk1_grf.mot")
-    moments = read_mot(EXAMPLE / "OutputReference" / "inverse_dynamics.sto")
-    mass = read_osim(EXAMPLE / "subject01_simbody.osim").mass_kg
+    plates = read_mot(GAIT2354 / "subject01_walk1_grf.mot")
+    moments = read_mot(GAIT2354 / "OutputReference" / "inverse_dynamics.sto")
+    mass = read_osim(GAIT2354 / "subject01_simbody.osim").mass_kg
 
     def column(table: Any, name: str) -> np.ndarray:  # noqa: ANN401 - a Table
         return table.values[:, table.labels.index(name)]

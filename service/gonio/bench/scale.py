@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from gonio.bench import Bench
-from gonio.bench.ik import EXAMPLE
 from gonio.bench.peers import peer_python, run_in_peer
-from gonio.errors import GonioError, ResourceError
+from gonio.bench.recordings import GAIT2354, need
+from gonio.errors import GonioError
 from gonio.formats.osim import read_osim
 from gonio.formats.osim_xml import open_document, text, vector
 from gonio.pipeline.opensim_tools import run_scale
@@ -33,10 +33,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 
 def _compare_with_opensim(bench: Bench, build_dir: Path) -> None:
     """Run both on copies of the example, and compare the factors and the scaled models' masses and inertias."""
-    if not EXAMPLE.is_dir():
-        raise ResourceError(
-            "OpenSim's Gait2354 example is not there.", hint=f"Put it into {EXAMPLE}.", code="bench-data-missing"
-        )
+    need(GAIT2354)
     python = peer_python(build_dir, "opensim", "opensim==4.6")
     ours, theirs = (_copy_example(build_dir.resolve() / "bench" / f"scale_{name}") for name in ("gonio", "opensim"))
     run_scale(ours / SETUP)
@@ -54,7 +51,7 @@ def _compare_with_opensim(bench: Bench, build_dir: Path) -> None:
 def _copy_example(folder: Path) -> Path:
     """Copy the example's files: the tools write beside the setup."""
     folder.mkdir(parents=True, exist_ok=True)
-    for path in EXAMPLE.glob("*.*"):
+    for path in GAIT2354.glob("*.*"):
         shutil.copyfile(path, folder / path.name)
     return folder
 
