@@ -1,4 +1,4 @@
-"""The command line: gonio serve | worker | analyse | scale | ik | id | demo | models | bench | doctor."""
+"""The command line: gonio serve | worker | analyse | scale | ik | id | demo | models | boards | keys | bench | doctor."""
 
 import json
 import sys
@@ -23,6 +23,8 @@ models_app = typer.Typer(help="The keypoint models: list them, fetch their weigh
 app.add_typer(models_app, name="models")
 boards_app = typer.Typer(help="Calibration boards: list them, print them, make others.", no_args_is_help=True)
 app.add_typer(boards_app, name="boards")
+keys_app = typer.Typer(help="Labs' keys to the service: make, list, replace, revoke.", no_args_is_help=True)
+app.add_typer(keys_app, name="keys")
 console = Console(stderr=True, highlight=False)
 
 
@@ -218,6 +220,74 @@ def demo(
     from gonio.demo.run import run_demo
 
     run_demo(output, from_file or [], console)
+
+
+@keys_app.command("create")
+def create_key(
+    lab: Annotated[str, typer.Argument(help="Whose data it opens: small letters, digits, hyphens.")],
+    name: Annotated[str, typer.Option(help="Who or what has it.")] = "",
+    scope: Annotated[list[str] | None, typer.Option(help="read, write or admin. [default: read and write]")] = None,
+    days: Annotated[float | None, typer.Option(help="How long it is valid. [default: until it is revoked]")] = None,
+) -> None:
+    """Make a key and print it: it is shown this once."""
+    from datetime import timedelta
+
+    from gonio.jobs.access import SCOPES, Scope, opened
+    from gonio.settings import Settings
+
+    wanted = set(scope or ("read", "write"))
+    scopes: list[Scope] = [each for each in SCOPES if each in wanted]
+    if unknown := wanted.difference(SCOPES):
+        raise InputError(
+            f"There is no scope {', '.join(sorted(unknown))}.",
+            hint=f"Choose of: {', '.join(SCOPES)}.",
+            code="scope-unknown",
+        )
+    with opened(Settings()) as access:
+        made = access.create_key(lab, name or lab, scopes, None if days is None else timedelta(days=days))
+    print(made.secret)
+
+
+@keys_app.command("list")
+def list_keys(lab: Annotated[str, typer.Argument(help="Whose keys.")]) -> None:
+    """List a lab's keys, newest first."""
+    from gonio.jobs.access import opened
+    from gonio.settings import Settings
+
+    with opened(Settings()) as access:
+        for row in access.keys(lab):
+            used = f"used {row.last_used_at:%Y-%m-%d %H:%M}" if row.last_used_at else "never used"
+            end = f", ends {row.expires_at:%Y-%m-%d %H:%M}" if row.expires_at else ""
+            print(f"{row.id}  {','.join(row.scopes)}  {row.name}  ({used}{end}, UTC)")
+
+
+@keys_app.command("rotate")
+def rotate_key(
+    lab: Annotated[str, typer.Argument(help="Whose key.")],
+    key_id: Annotated[str, typer.Argument(help="Its id, as `gonio keys list` shows it.")],
+    grace_hours: Annotated[float, typer.Option(min=0, help="So long the old key stays valid.")] = 24.0,
+) -> None:
+    """Make a key like this one and print it; the old one ends after a time of grace."""
+    from datetime import timedelta
+
+    from gonio.jobs.access import opened
+    from gonio.settings import Settings
+
+    with opened(Settings()) as access:
+        print(access.rotate_key(lab, key_id, timedelta(hours=grace_hours)).secret)
+
+
+@keys_app.command("revoke")
+def revoke_key(
+    lab: Annotated[str, typer.Argument(help="Whose key.")],
+    key_id: Annotated[str, typer.Argument(help="Its id, as `gonio keys list` shows it.")],
+) -> None:
+    """Revoke a key: the service refuses it from now on."""
+    from gonio.jobs.access import opened
+    from gonio.settings import Settings
+
+    with opened(Settings()) as access:
+        access.revoke_key(lab, key_id)
 
 
 @models_app.command("list")

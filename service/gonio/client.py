@@ -41,6 +41,7 @@ class Client:
 
     Args:
         url: Where the service listens.
+        key: The lab's key, where the service wants one.
         timeout_s: How long the service may be silent before a request fails.
         transport: Another way to the service, for example past a proxy.
     """
@@ -49,12 +50,19 @@ class Client:
         self,
         url: str = "http://127.0.0.1:8000",
         *,
+        key: str = "",
         timeout_s: float = 60.0,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
         self.url = url
         # `trust_env=False`: a proxy in the environment must not get between a lab and its own machine.
-        self._http = httpx.Client(base_url=url, timeout=timeout_s, transport=transport, trust_env=False)
+        self._http = httpx.Client(
+            base_url=url,
+            headers={"Authorization": f"Bearer {key}"} if key else {},
+            timeout=timeout_s,
+            transport=transport,
+            trust_env=False,
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -1,7 +1,8 @@
 """What can be set from outside, by environment variables ``GONIO_*``. Read by the command line, jobs and http only."""
 
+from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import platformdirs
 from pydantic import Field, model_validator
@@ -36,6 +37,11 @@ class Settings(BaseSettings):
     free_disk_floor: int = Field(
         default=2 * GIGABYTE, description="Uploads are refused when they would leave fewer free bytes on the disk."
     )
+    keys: Literal["auto", "required"] = Field(
+        default="auto",
+        description="`auto`: no key is needed on this machine itself while the service listens there only, keeps its data "
+        "in data_dir, and no key was made. `required`: always.",
+    )
     default_lab: str = Field(default="default", description="The lab that owns everything while no key names another.")
 
     @model_validator(mode="before")
@@ -43,6 +49,11 @@ class Settings(BaseSettings):
     def _drop_empty(cls, values: dict[str, object]) -> dict[str, object]:
         """Take an empty variable for one that isn't set: `GONIO_PORT= gonio serve` is no error."""
         return {name: value for name, value in values.items() if value != ""}
+
+    @property
+    def is_embedded(self) -> bool:
+        """Whether this is a service for its own machine alone: it listens nowhere else, and nothing stands beside it."""
+        return is_loopback(self.host) and not self.database_url and not self.objects_url
 
     @property
     def resolved_database_url(self) -> str:
@@ -58,3 +69,13 @@ class Settings(BaseSettings):
         """Give the environment variables from which another process makes the same settings."""
         prefix = self.model_config.get("env_prefix", "")
         return {f"{prefix}{name.upper()}": str(value) for name, value in self}
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a name or an address is this machine itself."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -96,6 +96,14 @@ def lab(tmp_path_factory) -> Iterator[Lab]:
         yield lab
 
 
+@pytest.fixture(scope="module")
+def keyed_lab(tmp_path_factory) -> Iterator[Lab]:
+    """A service with one worker that wants a key of everybody."""
+    folder = tmp_path_factory.mktemp("keyed")
+    with running_lab(make_settings(folder, workers=1, keys="required"), folder) as lab:
+        yield lab
+
+
 @pytest.fixture
 def start_lab(tmp_path) -> Iterator[Callable[..., Lab]]:
     """Start services of one's own; called again with the same folder, the service is restarted."""

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp
 from gonio.errors import GonioError
 from gonio.http import problems
 from gonio.http.middleware import Envelope
-from gonio.http.routes import analyses, calibrations, files, jobs, meta, reports, sessions
+from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
@@ -92,6 +92,6 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(GonioError, problems.of_gonio_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
-    for module in (sessions, files, analyses, jobs, reports, calibrations, meta):
+    for module in (sessions, files, analyses, jobs, reports, calibrations, keys, meta):
         app.include_router(module.router)
     return app

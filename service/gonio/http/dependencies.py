@@ -1,4 +1,4 @@
-"""What routes ask for: the service, the lab that asks, ids, pages."""
+"""What routes ask for: the service, who asks and for which lab, ids, pages."""
 
 import base64
 import binascii
@@ -8,14 +8,16 @@ from typing import Annotated
 from uuid import UUID
 
 from fastapi import Depends, Path, Query
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBasic, HTTPBasicCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.requests import Request
 
 from gonio.errors import InputError
+from gonio.jobs.access import Caller, Scope
 from gonio.jobs.repository import Place
 from gonio.jobs.service import Service
 from gonio.jobs.tables import Row
-from gonio.settings import Settings
+from gonio.settings import Settings, is_loopback
 
 
 def _service(request: Request) -> Service:
@@ -30,12 +32,84 @@ TheService = Annotated[Service, Depends(_service)]
 TheSettings = Annotated[Settings, Depends(_settings)]
 
 
-def _current_lab(settings: TheSettings) -> str:
-    return settings.default_lab
+_BEARER = HTTPBearer(auto_error=False, scheme_name="key", description="A key of the lab: `gonio keys create LAB`.")
+_BASIC = HTTPBasic(auto_error=False, scheme_name="password", description="For browsers: any name, the key as password.")
+
+
+def _caller(
+    request: Request,
+    service: TheService,
+    settings: TheSettings,
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)],
+    basic: Annotated[HTTPBasicCredentials | None, Depends(_BASIC)],
+) -> Caller:
+    """Find out who asks, and refuse who may not do what the method does.
+
+    Raises:
+        InputError: ``key-missing``, ``key-invalid``, ``scope-missing`` or ``foreign-page``.
+    """
+    changes = request.method not in ("GET", "HEAD")
+    if changes and request.headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+        # A browser sends passwords, and reaches this machine, also for a page of somebody else's.
+        raise InputError(
+            "A page of another site sent this request.", hint="Use a client of your own.", code="foreign-page"
+        )
+    key = bearer.credentials if bearer else basic.password if basic else ""
+    if not key and _needs_no_key(request, service, settings):
+        return Caller(settings.default_lab)
+    if not key:
+        raise InputError(
+            "This service wants a key.",
+            hint="Send `Authorization: Bearer KEY`; whoever runs the service makes one with `gonio keys create LAB`.",
+            code="key-missing",
+        )
+    caller = service.access.caller(key)
+    if caller is None:
+        raise InputError(
+            "The key is unknown, has expired or was revoked.", hint="Ask your lab for a valid one.", code="key-invalid"
+        )
+    return _allowed(caller, "write" if changes else "read")
+
+
+def _needs_no_key(request: Request, service: Service, settings: Settings) -> bool:
+    """Tell whether a request comes from this machine, on its own behalf, to a service that is for it alone.
+
+    A proxy's requests come from this machine too, but on behalf of others; and a foreign page can make its own name
+    point to this machine, but then that name stands in `Host`.
+    """
+    if settings.keys == "required" or not settings.is_embedded:
+        return False
+    forwarded = any(name in request.headers for name in ("forwarded", "x-forwarded-for", "x-forwarded-host", "via"))
+    return not forwarded and is_loopback(request.url.hostname or "") and not service.access.has_keys()
+
+
+def _allowed(caller: Caller, scope: Scope) -> Caller:
+    if scope not in caller.scopes:
+        raise InputError(
+            f"This key may not {scope}: it has {', '.join(caller.scopes) or 'no scopes'}.",
+            hint="Use a key with this scope.",
+            code="scope-missing",
+        )
+    return caller
+
+
+TheCaller = Annotated[Caller, Depends(_caller)]
+"""Who asks. Every route that reads or writes anything asks for it, or for the lab alone."""
+
+
+def _administrator(caller: TheCaller) -> Caller:
+    return _allowed(caller, "admin")
+
+
+Administrator = Annotated[Caller, Depends(_administrator)]
+
+
+def _current_lab(caller: TheCaller) -> str:
+    return caller.lab
 
 
 CurrentLab = Annotated[str, Depends(_current_lab)]
-"""The lab on whose behalf a request comes. Every route that reads or writes anything asks for it."""
+"""The lab on whose behalf a request comes."""
 
 
 def _known_shape(value: str) -> str:

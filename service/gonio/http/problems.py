@@ -6,6 +6,7 @@ code that is has a page of its own, ``/problems/<code>``, which the problem's ``
 
 import logging
 from collections.abc import Mapping
+from http import HTTPStatus
 from typing import Any, NamedTuple
 from uuid import uuid4
 
@@ -47,6 +48,14 @@ KINDS: Mapping[str, Kind] = {
     "bad-cursor": Kind(422, "Bad cursor", "`cursor` must be the `next_cursor` of the page before."),
     "not-found": Kind(404, "Not found", "There is nothing under this address, or it belongs to another lab."),
     "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
+    # keys
+    "key-missing": Kind(401, "Key missing", "The request carries no key, and this service wants one."),
+    "key-invalid": Kind(401, "Key invalid", "The key is unknown, has expired or was revoked."),
+    "key-expired": Kind(409, "Key expired", "A key that is over can't be replaced by a new one like it."),
+    "scope-missing": Kind(
+        403, "Scope missing", "The key is valid, but not for this: it lacks `read`, `write` or `admin`."
+    ),
+    "foreign-page": Kind(403, "Foreign page", "A browser sent the request for a page of another site."),
     # files
     "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
     "role-wrong": Kind(422, "Role wrong", "A session of this kind has no files of that role."),
@@ -83,10 +92,14 @@ KINDS: Mapping[str, Kind] = {
     "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),
 }
 
+GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page")
+"""How every route may fail that belongs to a lab."""
+
 _SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
 _OF_STATUS = {
     400: "malformed-body",
+    401: "key-invalid",
     404: "not-found",
     405: "method-not-allowed",
     413: "body-too-large",
@@ -142,9 +155,14 @@ def problem(
 def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
     """Answer with an error of the domain."""
     told = describe(error)
-    return problem(
+    answer = problem(
         request, told["code"], told["message"], hint=told["hint"], class_name=told["kind"], members=told["details"]
     )
+    if answer.status_code == HTTPStatus.UNAUTHORIZED:
+        # A browser that wants a page asks its user for the password; a script's request must not make it ask.
+        wants_page = "text/html" in request.headers.get("accept", "")
+        answer.headers["WWW-Authenticate"] = f'{"Basic" if wants_page else "Bearer"} realm="gonio"'
+    return answer
 
 
 def of_http_error(request: Request, error: Exception) -> JSONResponse:

@@ -9,8 +9,9 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_validator
 
 from gonio.http.problems import entry_of
+from gonio.jobs.access import NewKey, Scope
 from gonio.jobs.service import JobView
-from gonio.jobs.tables import CalibrationRow, FileRow, JobState, ReportRow, SessionRow
+from gonio.jobs.tables import CalibrationRow, FileRow, JobState, KeyRow, ReadingRow, ReportRow, SessionRow
 from gonio.pipeline.run import Role, SessionKind
 from gonio.records import LabSource, Level, Severity
 
@@ -345,3 +346,63 @@ class Problem(BaseModel):
     reference: str | None = Field(
         default=None, description="With `internal-error`: where it stands in the service's log."
     )
+
+
+class KeyIn(_In):
+    """A key to make."""
+
+    name: str = Field(max_length=200, min_length=1, pattern=PRINTABLE, description="For people: who or what has it.")
+    scopes: list[Scope] = Field(
+        min_length=1,
+        max_length=3,
+        description="`read`: see all of the lab's. `write`: create, upload, analyse, cancel, delete. `admin`: keys and audit.",
+    )
+    lifetime_days: float | None = Field(default=None, gt=0, le=3650, description="Without one, until it is revoked.")
+
+
+class KeyOut(BaseModel):
+    """A key of the lab, without the key itself."""
+
+    id: str
+    name: str
+    scopes: list[str]
+    created_at: Time
+    expires_at: Time | None = Field(description="When it ends, or ended.")
+    last_used_at: Time | None = Field(description="To the minute.")
+
+    @classmethod
+    def of(cls, row: KeyRow) -> Self:
+        """Show a key."""
+        return cls(
+            id=row.id,
+            name=row.name,
+            scopes=row.scopes,
+            created_at=row.created_at,
+            expires_at=row.expires_at,
+            last_used_at=row.last_used_at,
+        )
+
+
+class KeyMade(KeyOut):
+    """A key that was just made."""
+
+    key: str = Field(description="The key itself. It can't be read again.")
+
+    @classmethod
+    def of_new(cls, made: NewKey) -> Self:
+        """Show a new key, this once."""
+        return cls(**KeyOut.of(made.row).model_dump(), key=made.secret)
+
+
+class ReadingOut(BaseModel):
+    """Somebody's look at what a session holds of its subject."""
+
+    at: Time
+    key: str | None = Field(description="The id of the key; null: without one, on the service's own machine.")
+    session: str | None = Field(description="Null: the list of sessions.")
+    what: str
+
+    @classmethod
+    def of(cls, row: ReadingRow) -> Self:
+        """Show a reading."""
+        return cls(at=row.created_at, key=row.key_id, session=row.session_id, what=row.what)

@@ -6,12 +6,12 @@ import socket
 import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
-from ipaddress import ip_address
 
 import uvicorn
 
 from gonio.errors import ResourceError
 from gonio.http.app import create_app
+from gonio.jobs.access import opened
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
 from gonio.jobs.supervisor import WORKER_COMMAND, Supervisor
@@ -38,9 +38,9 @@ def serve(
     # Uvicorn ends its work, then raises the signal again, which would end this process before its workers are stopped.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with suppress(KeyboardInterrupt), _listening(settings) as listener:
-        if not ip_address(listener.getsockname()[0]).is_loopback:
-            log.warning("The service listens beyond this machine: whoever reaches it can read and delete everything.")
         upgrade(settings)
+        if not settings.is_embedded and not _has_keys(settings):
+            log.warning("Nobody has a key yet, and nobody gets in without one: make one with `gonio keys create LAB`.")
         with Supervisor(settings, worker_command):
             _Server(settings, probe, lambda: on_ready and on_ready(_url(listener))).run(sockets=[listener])
 
@@ -64,6 +64,11 @@ def serving(
             finally:
                 server.should_exit = True
                 thread.join()
+
+
+def _has_keys(settings: Settings) -> bool:
+    with opened(settings) as access:
+        return access.has_keys()
 
 
 class _Server(uvicorn.Server):

@@ -8,7 +8,19 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from gonio.errors import InputError
-from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, Row, SessionRow
+from gonio.jobs.tables import (
+    ACTIVE,
+    CalibrationRow,
+    FileRow,
+    JobRow,
+    JobState,
+    KeyRow,
+    ReadingRow,
+    ReportRow,
+    Row,
+    SessionRow,
+    now,
+)
 
 R = TypeVar("R", bound=Row)
 
@@ -18,6 +30,7 @@ _NOUNS: dict[type[Row], str] = {
     JobRow: "job",
     ReportRow: "report",
     CalibrationRow: "calibration",
+    KeyRow: "key",
 }
 
 
@@ -100,6 +113,18 @@ class Repository:
         """List calibrations, newest first."""
         return self._page(CalibrationRow, limit, after)
 
+    def key(self, key_id: str) -> KeyRow:
+        """Give a key, or raise ``not-found``."""
+        return self._one(KeyRow, KeyRow.id == key_id)
+
+    def keys(self) -> Sequence[KeyRow]:
+        """List keys, newest first."""
+        return self._db.scalars(self._select(KeyRow).order_by(KeyRow.created_at.desc(), KeyRow.id)).all()
+
+    def readings(self, session_id: str | None, limit: int, after: Place | None = None) -> Sequence[ReadingRow]:
+        """List who read what, newest first; of one session if it is named."""
+        return self._page(ReadingRow, limit, after, *([ReadingRow.session_id == session_id] if session_id else []))
+
     def delete(self, row: Row) -> None:
         """Delete a row and, with a session, all that belongs to it."""
         self._db.delete(row)
@@ -127,8 +152,8 @@ class Repository:
             )
         return row
 
-    def _page(self, kind: type[R], limit: int, after: Place | None) -> Sequence[R]:
-        query = self._select(kind).order_by(kind.created_at.desc(), kind.id.desc()).limit(limit)
+    def _page(self, kind: type[R], limit: int, after: Place | None, *where: sa.ColumnElement[bool]) -> Sequence[R]:
+        query = self._select(kind).where(*where).order_by(kind.created_at.desc(), kind.id.desc()).limit(limit)
         if after is not None:
             query = query.where(sa.tuple_(kind.created_at, kind.id) < sa.tuple_(after.created_at, after.id))
         return self._db.scalars(query).all()
@@ -142,3 +167,14 @@ def active_jobs_of_all_labs(session: Session) -> Sequence[JobRow]:
 def active_job_of_any_lab(session: Session, job_id: str) -> JobRow | None:
     """Give a job if it hasn't ended: for workers."""
     return session.scalar(sa.select(JobRow).where(JobRow.id == job_id, JobRow.state.in_(ACTIVE)))
+
+
+def key_of_any_lab(session: Session, digest: str) -> KeyRow | None:
+    """Give the key that has this digest, if it is valid now: it is what tells which lab asks."""
+    valid = sa.or_(KeyRow.expires_at.is_(None), KeyRow.expires_at > now())
+    return session.scalar(sa.select(KeyRow).where(KeyRow.digest == digest, valid))
+
+
+def any_key(session: Session) -> bool:
+    """Tell whether a key was ever made; one that is over counts too, or its end would open the door."""
+    return session.scalar(sa.select(sa.exists(KeyRow.id))) or False

@@ -12,6 +12,7 @@ from dbos import DBOSClient, DBOSPortableJSONSerializer
 from sqlalchemy.exc import IntegrityError
 
 from gonio.errors import CaptureError, InputError
+from gonio.jobs.access import Access
 from gonio.jobs.database import Database
 from gonio.jobs.filenames import check_role, guess_role
 from gonio.jobs.probe import Probe
@@ -46,6 +47,7 @@ class Service:
         self.spool.sweep()
         self._probe = probe
         self._database = Database(settings.resolved_database_url)
+        self.access = Access(self._database)
         self._store = Store.open(settings.resolved_objects_url)
         self._queue = DBOSClient(
             system_database_url=settings.resolved_database_url,

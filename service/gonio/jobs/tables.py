@@ -39,7 +39,7 @@ class Row(DeclarativeBase):
     """What all rows have: an id that is also their name over HTTP, a lab that owns them, and a time."""
 
     metadata = METADATA
-    type_annotation_map = {dict[str, Any]: JSON, list[dict[str, Any]]: JSON}  # noqa: RUF012 - SQLAlchemy's protocol
+    type_annotation_map = {dict[str, Any]: JSON, list[dict[str, Any]]: JSON, list[str]: JSON}  # noqa: RUF012 - SQLAlchemy's protocol
 
     id: Mapped[str] = mapped_column(String(36), primary_key=True)
     lab: Mapped[str] = mapped_column(String(64))
@@ -105,6 +105,30 @@ class CalibrationRow(Row):
     level: Mapped[str] = mapped_column(String(16))  # the verdict
     summary: Mapped[dict[str, Any]]  # cameras, lab, findings: what a list shows without opening the document
     files: Mapped[list[dict[str, Any]]]  # as a report's
+
+
+class KeyRow(Row):
+    """A lab's key to the service. The key itself is kept nowhere, only its digest."""
+
+    __tablename__ = "api_keys"
+    __table_args__ = (UniqueConstraint("digest"), Index(None, "lab", "created_at"))
+
+    name: Mapped[str]  # for people: who or what has it
+    digest: Mapped[str] = mapped_column(String(64))
+    scopes: Mapped[list[str]]
+    expires_at: Mapped[datetime | None]
+    last_used_at: Mapped[datetime | None]
+
+
+class ReadingRow(Row):
+    """Who looked at what of a subject, and when. It outlives the session: it holds ids only."""
+
+    __tablename__ = "readings"
+    __table_args__ = (Index(None, "lab", "created_at"), Index(None, "session_id"))
+
+    key_id: Mapped[str | None] = mapped_column(String(36))  # None: without a key, on the service's own machine
+    session_id: Mapped[str | None] = mapped_column(String(36))  # None: the list of sessions
+    what: Mapped[str]
 
 
 class ReportRow(Row):

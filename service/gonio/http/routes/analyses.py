@@ -5,11 +5,11 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Response
 
 from gonio.http.dependencies import CurrentLab, Id, TheService
-from gonio.http.problems import fails
+from gonio.http.problems import GUARD, fails
 from gonio.http.routes.jobs import RETRY_AFTER_S
 from gonio.http.schemas import PRINTABLE, AnalysisIn, JobOut
 
-router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"])
+router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"], responses=fails(*GUARD))
 
 
 @router.post(

@@ -6,11 +6,11 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Response
 
 from gonio.http.dependencies import CurrentLab, Id, Page, TheService
-from gonio.http.problems import fails
+from gonio.http.problems import GUARD, fails
 from gonio.http.routes.reports import send_result
 from gonio.http.schemas import CalibrationOut, ListOf, ResultFileOut
 
-router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], responses=fails(*GUARD))
 
 
 @router.get("", responses=fails("bad-cursor"))

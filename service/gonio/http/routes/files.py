@@ -10,14 +10,14 @@ from fastapi.responses import FileResponse
 from pydantic import TypeAdapter, ValidationError
 from starlette.background import BackgroundTask
 
-from gonio.http.dependencies import CurrentLab, Id, TheService
-from gonio.http.problems import fails
+from gonio.http.dependencies import CurrentLab, Id, TheCaller, TheService
+from gonio.http.problems import GUARD, fails
 from gonio.http.schemas import FileFields, FileOut, ListOf
 from gonio.http.uploads import receive_form
 from gonio.jobs.service import Service
 from gonio.pipeline.run import Role
 
-router = APIRouter(prefix="/v1/sessions/{session_id}/files", tags=["files"])
+router = APIRouter(prefix="/v1/sessions/{session_id}/files", tags=["files"], responses=fails(*GUARD))
 
 UNLIMITED = 1 << 62
 """The limit of a body is for JSON; that of a file is checked byte by byte in the spool."""
@@ -121,9 +121,10 @@ def list_files(session_id: Id, service: TheService, lab: CurrentLab) -> ListOf[F
         **fails("not-found", "range-not-satisfiable", "malformed-body"),
     },
 )
-def read_file(session_id: Id, file_id: Id, service: TheService, lab: CurrentLab) -> Response:
+def read_file(session_id: Id, file_id: Id, service: TheService, caller: TheCaller) -> Response:
     """Read the content of a file, or with `Range` a part of it."""
-    row = service.file(lab, session_id, file_id)
+    row = service.file(caller.lab, session_id, file_id)
+    service.access.note_reading(caller, session_id, f"file {row.name}")
     return send_content(service, row.key, row.name, row.sha256)
 
 

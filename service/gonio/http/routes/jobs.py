@@ -6,11 +6,11 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Response
 
 from gonio.http.dependencies import CurrentLab, Id, Page, TheService
-from gonio.http.problems import fails
+from gonio.http.problems import GUARD, fails
 from gonio.http.schemas import JobOut, ListOf
 from gonio.jobs.tables import ACTIVE
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=fails(*GUARD))
 
 RETRY_AFTER_S = 1
 """Progress is news once a second."""

@@ -10,7 +10,7 @@ from starlette.requests import Request
 
 from gonio.errors import InputError, ResourceError
 from gonio.http import pages
-from gonio.http.dependencies import CurrentLab, TheService
+from gonio.http.dependencies import TheCaller, TheService
 from gonio.http.problems import KINDS, fails
 from gonio.http.schemas import Health, JobOut
 
@@ -40,8 +40,10 @@ def is_ready(service: TheService) -> Health:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-def show_overview(service: TheService, lab: CurrentLab) -> str:
+def show_overview(service: TheService, caller: TheCaller) -> str:
     """Show the newest sessions, jobs and reports."""
+    lab = caller.lab
+    service.access.note_reading(caller, None, "sessions")
     jobs = [JobOut.of(view) for view in service.jobs(lab, NEWEST)]
     return pages.render(
         "overview.html",

@@ -6,14 +6,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Response
 
 from gonio.errors import InputError
-from gonio.http.dependencies import CurrentLab, Id, TheService
-from gonio.http.problems import fails
+from gonio.http.dependencies import CurrentLab, Id, TheCaller, TheService
+from gonio.http.problems import GUARD, fails
 from gonio.http.routes.files import send_content
 from gonio.http.schemas import ListOf, ResultFileOut
 from gonio.jobs.service import Service
 from gonio.jobs.tables import CalibrationRow, ReportRow
 
-router = APIRouter(prefix="/v1/reports", tags=["reports"])
+router = APIRouter(prefix="/v1/reports", tags=["reports"], responses=fails(*GUARD))
 
 SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".svg": "image/svg+xml", ".png": "image/png"}
 """What a browser shows; everything else it saves. The answer's content policy lets none of it run anything."""
@@ -24,9 +24,11 @@ SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".svg
     response_class=Response,
     responses={200: {"description": "The report.", "content": {"application/json": {}}}, **fails("not-found")},
 )
-def read_report(report_id: Id, service: TheService, lab: CurrentLab) -> Response:
+def read_report(report_id: Id, service: TheService, caller: TheCaller) -> Response:
     """Read a report: the JSON document, whose `schema` member names its version."""
-    file = next(file for file in service.report(lab, report_id).files if file["kind"] == "document")
+    row = service.report(caller.lab, report_id)
+    service.access.note_reading(caller, row.session_id, "report")
+    file = next(file for file in row.files if file["kind"] == "document")
     return send_content(service, file["key"], file["name"], file["sha256"], media_type="application/json", inline=True)
 
 
@@ -46,10 +48,12 @@ def list_report_files(report_id: Id, service: TheService, lab: CurrentLab) -> Li
     },
 )
 def read_report_file(
-    report_id: Id, name: Annotated[str, Path(max_length=255)], service: TheService, lab: CurrentLab
+    report_id: Id, name: Annotated[str, Path(max_length=255)], service: TheService, caller: TheCaller
 ) -> Response:
     """Read a file of a report; the page is shown, TRC and MOT are saved."""
-    return send_result(service, service.report(lab, report_id), name)
+    row = service.report(caller.lab, report_id)
+    service.access.note_reading(caller, row.session_id, f"report {name}")
+    return send_result(service, row, name)
 
 
 def send_result(service: Service, row: ReportRow | CalibrationRow, name: str) -> Response:

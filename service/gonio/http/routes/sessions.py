@@ -2,11 +2,11 @@
 
 from fastapi import APIRouter, Response
 
-from gonio.http.dependencies import CurrentLab, Id, Page, TheService
-from gonio.http.problems import fails
+from gonio.http.dependencies import CurrentLab, Id, Page, TheCaller, TheService
+from gonio.http.problems import GUARD, fails
 from gonio.http.schemas import ListOf, SessionIn, SessionOut
 
-router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=fails(*GUARD))
 
 
 @router.post("", status_code=201, responses=fails("malformed-body", "body-too-large"))
@@ -24,16 +24,19 @@ def create_session(body: SessionIn, response: Response, service: TheService, lab
 
 
 @router.get("", responses=fails("bad-cursor"))
-def list_sessions(page: Page, service: TheService, lab: CurrentLab) -> ListOf[SessionOut]:
+def list_sessions(page: Page, service: TheService, caller: TheCaller) -> ListOf[SessionOut]:
     """List sessions, newest first."""
-    rows = service.sessions(lab, page.limit, page.after)
+    rows = service.sessions(caller.lab, page.limit, page.after)
+    service.access.note_reading(caller, None, "sessions")
     return ListOf(items=[SessionOut.of(row) for row in rows], next_cursor=page.next_cursor(rows))
 
 
 @router.get("/{session_id}", responses=fails("not-found"))
-def read_session(session_id: Id, service: TheService, lab: CurrentLab) -> SessionOut:
+def read_session(session_id: Id, service: TheService, caller: TheCaller) -> SessionOut:
     """Read a session."""
-    return SessionOut.of(service.session(lab, session_id))
+    row = service.session(caller.lab, session_id)
+    service.access.note_reading(caller, session_id, "session")
+    return SessionOut.of(row)
 
 
 @router.delete("/{session_id}", status_code=204, responses=fails("not-found", "session-busy"))

@@ -1,0 +1,235 @@
+"""Keys, scopes and labs: who gets in, who sees what, and what is kept of it."""
+
+import os
+import re
+import subprocess
+import sys
+from datetime import timedelta
+from pathlib import Path
+from uuid import uuid4
+
+import httpx
+import pytest
+
+from gonio.client import Client
+from gonio.errors import InputError
+from gonio.http.app import create_app
+from gonio.jobs.access import SCOPES, opened
+from gonio.settings import Settings
+
+NOBODY = "00000000-0000-4000-8000-000000000000"
+PUBLIC = {"/healthz", "/readyz"}
+
+
+def make_key(settings, lab: str, *scopes, lifetime=None) -> str:
+    with opened(settings) as access:
+        return access.create_key(lab, f"{lab}'s", scopes or SCOPES, lifetime).secret
+
+
+def bearer(key: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {key}"}
+
+
+def answer(response) -> tuple[int, str]:
+    return response.status_code, response.json().get("code", "")
+
+
+@pytest.fixture(scope="module")
+def labs(keyed_lab, capture, tmp_path_factory):
+    """A service with the labs north, which has a session with files, a job and a report, and south, which has nothing."""
+    lab = keyed_lab
+    north, south = make_key(lab.settings, "north"), make_key(lab.settings, "south")
+    journal = tmp_path_factory.mktemp("journal") / "journal"
+    journal.touch()
+    with Client(lab.url, key=north) as client:
+        session = client.create_session(name="Anna")["id"]
+        for path in sorted(capture.iterdir()):
+            client.upload(session, path)
+        job = client.analyse(session, {"journal": str(journal)})["id"]
+        client.wait(job, timeout_s=60)
+        ids = {
+            "session_id": session,
+            "file_id": client.files(session)[0]["id"],
+            "job_id": job,
+            "report_id": job,
+            "calibration_id": job,
+            "name": client.report_files(job)[0]["name"],
+        }
+        yield lab, north, south, ids
+
+
+def routes() -> list[tuple[str, str]]:
+    documented = create_app(Settings()).openapi()["paths"]
+    return [("GET", "/"), *((method.upper(), path) for path, methods in documented.items() for method in methods)]
+
+
+@pytest.mark.parametrize(("method", "path"), routes(), ids=lambda value: str(value).strip("/"))
+def test_no_route_shows_or_changes_anything_of_another_lab(labs, method, path):
+    lab, north, south, ids = labs
+    key_id = httpx.get(f"{lab.url}/v1/keys", headers=bearer(north)).json()["items"][0]["id"]
+    url = lab.url + path.format(**ids, key_id=key_id)
+    body = {"kind": "human_multicamera"} if path == "/v1/sessions" else {"name": "a", "scopes": ["read"]}
+    how = {"json": body} if method == "POST" and not path.endswith("/files") and "analyses" not in path else {}
+    if path in PUBLIC:
+        assert httpx.request(method, url, **how).status_code == 200
+        return
+    assert answer(httpx.request(method, url, **how)) == (401, "key-missing")
+    assert answer(httpx.request(method, url, headers=bearer(north + "x"), **how)) == (401, "key-invalid")
+    response = httpx.request(method, url, headers=bearer(south), **how)
+    if "{" in path:
+        assert answer(response) == (404, "not-found")
+        return
+    # What has no id in its address: a list, which must be empty of the other lab's, or something new of one's own.
+    assert response.status_code in (200, 201)
+    assert not {value for value in ids.values() if value in response.text}
+    assert "Anna" not in response.text
+    assert "north" not in response.text
+
+
+def test_a_foreign_calibration_cannot_be_named(labs):
+    lab, _, south, _ = labs
+    body = {"kind": "human_multicamera", "calibration": NOBODY}
+    assert answer(httpx.post(f"{lab.url}/v1/sessions", json=body, headers=bearer(south))) == (404, "not-found")
+
+
+def test_a_key_may_do_what_its_scopes_say(labs):
+    lab, _, _, _ = labs
+    body = {"kind": "human_multicamera"}
+    reader, writer = make_key(lab.settings, "west", "read"), make_key(lab.settings, "west", "write")
+    sessions, keys, audit = (f"{lab.url}/v1/{name}" for name in ("sessions", "keys", "audit"))
+    assert httpx.get(sessions, headers=bearer(reader)).status_code == 200
+    assert answer(httpx.post(sessions, json=body, headers=bearer(reader))) == (403, "scope-missing")
+    assert answer(httpx.get(sessions, headers=bearer(writer))) == (403, "scope-missing")
+    assert httpx.post(sessions, json=body, headers=bearer(writer)).status_code == 201
+    for url in (keys, audit):
+        assert answer(httpx.get(url, headers=bearer(reader))) == (403, "scope-missing")
+
+
+def test_keys_are_made_rotated_and_revoked_over_http(labs):
+    lab, _, _, _ = labs
+    chief = make_key(lab.settings, "east")
+    keys, sessions = f"{lab.url}/v1/keys", f"{lab.url}/v1/sessions"
+    made = httpx.post(keys, json={"name": "script", "scopes": ["write", "read"]}, headers=bearer(chief)).json()
+    assert made["scopes"] == ["read", "write"]
+    assert httpx.get(sessions, headers=bearer(made["key"])).status_code == 200
+    url = f"{keys}/{made['id']}"
+    rotated = httpx.post(f"{url}/rotate", params={"grace_hours": 1}, headers=bearer(chief)).json()
+    assert rotated["scopes"] == made["scopes"]
+    for key in (made["key"], rotated["key"]):  # both are valid in the time of grace
+        assert httpx.get(sessions, headers=bearer(key)).status_code == 200
+    assert httpx.delete(url, headers=bearer(chief)).status_code == 204
+    assert answer(httpx.get(sessions, headers=bearer(made["key"]))) == (401, "key-invalid")
+    assert answer(httpx.post(f"{url}/rotate", headers=bearer(chief))) == (409, "key-expired")
+    shown = {key["id"]: key for key in httpx.get(keys, headers=bearer(chief)).json()["items"]}
+    assert len(shown) == 3
+    assert shown[made["id"]]["last_used_at"] is not None
+    assert "key" not in shown[made["id"]]
+
+
+def test_the_key_itself_is_kept_nowhere(labs):
+    lab, north, _, _ = labs
+    httpx.get(f"{lab.url}/v1/sessions", headers=bearer(north))
+    for path in (path for path in lab.settings.data_dir.rglob("*") if path.is_file()):
+        assert north.encode() not in path.read_bytes(), path
+    assert north not in lab.log.read_text()
+
+
+def test_an_expired_key_is_refused(labs):
+    lab, _, _, _ = labs
+    key = make_key(lab.settings, "north", lifetime=timedelta(seconds=-1))
+    assert answer(httpx.get(f"{lab.url}/v1/sessions", headers=bearer(key))) == (401, "key-invalid")
+
+
+@pytest.mark.parametrize(
+    "sent", ["Bearer", "Basic !", "Basic eA==", "Token x", "Bearer " + "x" * 9000, "Bearer gonio_ü"]
+)
+def test_a_strange_authorization_is_refused(labs, sent):
+    lab, *_ = labs
+    response = httpx.get(f"{lab.url}/v1/sessions", headers={"Authorization": sent.encode()})
+    assert answer(response) in {(401, "key-missing"), (401, "key-invalid")}
+    assert response.headers["www-authenticate"].startswith(("Bearer", "Basic"))
+
+
+def test_a_browser_asks_for_the_key_and_may_send_it_as_password(labs):
+    lab, north, _, ids = labs
+    page = f"{lab.url}/v1/reports/{ids['report_id']}/files/report.html"
+    refused = httpx.get(page, headers={"Accept": "text/html"})
+    assert refused.headers["www-authenticate"] == 'Basic realm="gonio"'
+    assert httpx.get(page, auth=("", north)).status_code == 200
+    assert "Anna" in httpx.get(lab.url, auth=("somebody", north)).text
+    foreign = httpx.post(
+        f"{lab.url}/v1/jobs/{ids['job_id']}/cancel", auth=("", north), headers={"Sec-Fetch-Site": "cross-site"}
+    )
+    assert answer(foreign) == (403, "foreign-page")
+
+
+def test_who_read_what_of_a_subject_is_kept(labs):
+    lab, north, _, ids = labs
+    httpx.get(f"{lab.url}/v1/reports/{ids['report_id']}", headers=bearer(north))
+    httpx.get(f"{lab.url}/v1/sessions/{ids['session_id']}/files/{ids['file_id']}", headers=bearer(north))
+    entries = httpx.get(f"{lab.url}/v1/audit", params={"session": ids["session_id"]}, headers=bearer(north)).json()[
+        "items"
+    ]
+    key = next(
+        row["id"]
+        for row in httpx.get(f"{lab.url}/v1/keys", headers=bearer(north)).json()["items"]
+        if row["last_used_at"]
+    )
+    assert {entry["what"] for entry in entries} >= {"report", "file calibration.xml"}
+    assert {entry["session"] for entry in entries} == {ids["session_id"]}
+    assert key in {entry["key"] for entry in entries}
+
+
+def test_without_keys_only_the_machine_itself_gets_in(start_lab):
+    lab = start_lab()
+    url = f"{lab.url}/v1/sessions"
+    assert httpx.get(url).status_code == 200
+    for headers in ({"X-Forwarded-For": "10.0.0.7"}, {"Via": "1.1 proxy"}, {"Host": "evil.example"}):
+        assert answer(httpx.get(url, headers=headers)) == (401, "key-missing"), headers
+    assert answer(httpx.post(url, json={}, headers={"Sec-Fetch-Site": "cross-site"})) == (403, "foreign-page")
+    key = make_key(lab.settings, "first")
+    assert answer(httpx.get(url)) == (401, "key-missing")
+    with opened(lab.settings) as access:
+        access.revoke_key("first", access.keys("first")[0].id)
+    assert answer(httpx.get(url, headers=bearer(key))) == (401, "key-invalid")
+    assert answer(httpx.get(url)) == (401, "key-missing")  # the last key's end does not open the door again
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"keys": "required"}, {"host": "0.0.0.0"}, {"database_url": "sqlite:///{}/elsewhere.db"}],
+    ids=str,
+)
+def test_a_service_that_is_not_for_itself_alone_wants_keys(start_lab, tmp_path, values):
+    lab = start_lab(**{name: value.format(tmp_path) for name, value in values.items()})
+    port = httpx.URL(lab.url).port
+    assert answer(httpx.get(f"http://127.0.0.1:{port}/v1/sessions")) == (401, "key-missing")
+
+
+def test_the_command_line_makes_lists_rotates_and_revokes(tmp_path):
+    environment = {**os.environ, "GONIO_DATA_DIR": str(tmp_path)}
+
+    def gonio(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [str(Path(sys.executable).with_name("gonio")), "keys", *words]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    first = gonio("create", "north", "--name", "door", "--scope", "read").stdout.strip()
+    assert re.fullmatch(r"gonio_[\w-]{43}", first)
+    listed = gonio("list", "north").stdout
+    assert "read  door  (never used" in listed
+    second = gonio("rotate", "north", listed.split()[0], "--grace-hours", "0").stdout.strip()
+    settings = Settings(data_dir=tmp_path)
+    with opened(settings) as access:
+        assert access.caller(first) is None
+        caller = access.caller(second)
+        assert caller is not None
+        assert (caller.lab, caller.scopes) == ("north", ("read",))
+    assert "scope-unknown" in gonio("create", "north", "--scope", "root").stderr
+    assert "lab-name-wrong" in gonio("create", "../north").stderr
+    assert "not-found" in gonio("revoke", "south", listed.split()[0]).stderr
+    assert "not-found" in gonio("revoke", "north", str(uuid4())).stderr
+
+
+def test_a_lab_name_is_checked(tmp_path):
+    with opened(Settings(data_dir=tmp_path)) as access, pytest.raises(InputError, match="can't be the name"):
+        access.create_key("North Lab", "x", ["read"])
