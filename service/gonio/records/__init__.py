@@ -33,6 +33,14 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.ground_forces import (
+    ForceCoefficients,
+    ForceMethod,
+    GroundForces,
+    PhaseTemplate,
+    Task,
+    TaskForces,
+)
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
@@ -78,7 +86,10 @@ __all__ = [
     "Finding",
     "FootEvents",
     "FootPressure",
+    "ForceCoefficients",
+    "ForceMethod",
     "Functions",
+    "GroundForces",
     "ImagePoints",
     "Intrinsics",
     "JointTree",
@@ -92,10 +103,13 @@ __all__ = [
     "Markers",
     "Measurement",
     "Motion",
+    "PhaseTemplate",
     "Rig",
     "RigCheck",
     "Severity",
     "Steps",
+    "Task",
+    "TaskForces",
     "Tasks",
     "Timebase",
     "Verdict",
