@@ -36,7 +36,7 @@ from gonio.records.finding import Finding, Severity
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
-from gonio.records.pressure import FootPressure, VirtualPressure
+from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
 from gonio.records.virtual_board import VirtualBoard
@@ -92,6 +92,7 @@ __all__ = [
     "Markers",
     "Measurement",
     "Motion",
+    "PressureStream",
     "Rig",
     "RigCheck",
     "Severity",
