@@ -31,6 +31,12 @@ def insole_iscas() -> Path:
 
 
 @pytest.fixture(scope="session")
+def opensim_gait2354() -> Path:
+    """OpenSim's walking example; skips where the recordings are not at hand."""
+    return _recording("opensim_gait2354")
+
+
+@pytest.fixture(scope="session")
 def vicon_pig() -> Path:
     """C3D files of a marker laboratory; skips where the recordings are not at hand."""
     return _recording("vicon_pig")

@@ -33,6 +33,7 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.force_plates import FootForces, ForcePlates
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
@@ -77,7 +78,9 @@ __all__ = [
     "Coordinates",
     "Finding",
     "FootEvents",
+    "FootForces",
     "FootPressure",
+    "ForcePlates",
     "Functions",
     "ImagePoints",
     "Intrinsics",
