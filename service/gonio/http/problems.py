@@ -67,7 +67,9 @@ KINDS: Mapping[str, Kind] = {
     "pressure-negative": Kind(422, "Pressure negative", "More values are below zero than noise explains."),
     "pressure-unit": Kind(422, "Unit of pressure wrong", "Both feet together carry what no person weighs."),
     "pressure-cop": Kind(422, "Centre of pressure wrong", "It is missing, or lies off the sole."),
-    "c3d-unreadable": Kind(422, "C3D unreadable", "The file is no C3D, is cut short, or holds plates of unknown type."),
+    "capture-file-unreadable": Kind(
+        422, "C3D unreadable", "The file is no C3D, is cut short, or holds plates of unknown type."
+    ),
     "plates-missing": Kind(422, "No force plates", "The file holds no force plates."),
     "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),

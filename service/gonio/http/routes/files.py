@@ -89,7 +89,7 @@ _FORM = {
             "pressure-negative",
             "pressure-unit",
             "pressure-cop",
-            "c3d-unreadable",
+            "capture-file-unreadable",
             "plates-missing",
             "file-exists",
             "file-too-large",
