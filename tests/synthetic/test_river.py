@@ -22,6 +22,7 @@ from gonio.pipeline.describe import Analysis
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, Subject
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import key_lines, load_report, write_report
 from gonio.pipeline.report_schema import report_schema
@@ -122,6 +123,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         points=smoothed,
         body=body,
         motion=motion,
+        measured=Measured(pressure=None, clock=None, plates=None),
     )
 
 

@@ -33,6 +33,7 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.force_plates import FootForces, ForcePlates
 from gonio.records.ground_forces import (
     ForceCoefficients,
     ForceMethod,
@@ -44,7 +45,7 @@ from gonio.records.ground_forces import (
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
-from gonio.records.pressure import FootPressure, VirtualPressure
+from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
 from gonio.records.virtual_board import VirtualBoard
@@ -85,9 +86,11 @@ __all__ = [
     "Coordinates",
     "Finding",
     "FootEvents",
+    "FootForces",
     "FootPressure",
     "ForceCoefficients",
     "ForceMethod",
+    "ForcePlates",
     "Functions",
     "GroundForces",
     "ImagePoints",
@@ -104,6 +107,7 @@ __all__ = [
     "Measurement",
     "Motion",
     "PhaseTemplate",
+    "PressureStream",
     "Rig",
     "RigCheck",
     "Severity",
