@@ -48,6 +48,7 @@ from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoint
 from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.torques import Torques
 from gonio.records.virtual_board import VirtualBoard
 from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
 from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
@@ -116,6 +117,7 @@ __all__ = [
     "TaskForces",
     "Tasks",
     "Timebase",
+    "Torques",
     "Verdict",
     "View",
     "VirtualBoard",

@@ -30,9 +30,7 @@ class Contact(NamedTuple):
         return self.opened and self.closed
 
 
-def find_contacts(
-    vertical_n: Float[np.ndarray, "frame foot"], rate_hz: float, weight_n: float
-) -> tuple[Contact, ...]:
+def find_contacts(vertical_n: Float[np.ndarray, "frame foot"], rate_hz: float, weight_n: float) -> tuple[Contact, ...]:
     """Find the contacts of both feet, in the order of feet and time.
 
     Args:

@@ -176,9 +176,13 @@ def resample(
         if known.sum() < 2:
             continue
         sample_s, force_n = pressure.times_s[known], pressure.vertical_n[known, foot]
-        vertical_n[:, foot] = PchipInterpolator(sample_s, force_n, extrapolate=False)(times_s)
+        vertical_n[:, foot] = PchipInterpolator(sample_s, force_n)(np.clip(times_s, sample_s[0], sample_s[-1]))
+        half_s = 0.5 * float(np.median(np.diff(sample_s)))  # a sample stands for its period
+        vertical_n[(times_s < sample_s[0] - half_s) | (times_s > sample_s[-1] + half_s), foot] = np.nan
         after = np.clip(np.searchsorted(sample_s, times_s), 1, len(sample_s) - 1)
-        vertical_n[sample_s[after] - sample_s[after - 1] > LONGEST_GAP_S, foot] = np.nan
+        lost = sample_s[after] - sample_s[after - 1] > LONGEST_GAP_S
+        lost &= (times_s > sample_s[after - 1] + 1e-9) & (times_s < sample_s[after] - 1e-9)
+        vertical_n[lost, foot] = np.nan
         placed = known & np.isfinite(pressure.cop_foot_m[:, foot]).all(axis=1)
         placed &= np.nan_to_num(pressure.vertical_n[:, foot]) > LEAST_COP_N
         if placed.any():
@@ -220,9 +224,7 @@ def force_sd(
     return np.where(np.isfinite(phase)[..., None], np.moveaxis(sd, 0, -1), 0.0)
 
 
-def _choose(
-    asked: ForceMethod, task: Task, course: Course, coefficients: ForceCoefficients
-) -> tuple[ForceMethod, str]:
+def _choose(asked: ForceMethod, task: Task, course: Course, coefficients: ForceCoefficients) -> tuple[ForceMethod, str]:
     """Give the method that is used, and why it is not the one that was asked for."""
     if asked != "template":
         return asked, ""

@@ -105,8 +105,8 @@ def feed_back_moment(
         return shear_n
     total_n = np.nansum(load.vertical_n, axis=1)
     standing = total_n > 0
-    height_m = np.full(len(total_n), np.nan)
-    height_m[standing] = np.nanmean(levers.height_m[standing], axis=1)
+    known = np.isfinite(levers.height_m)
+    height_m = np.nansum(levers.height_m, axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
     turning_nm = (body.turning_nm * body.right_lab).sum(axis=1)
     wanted_n = (turning_nm + np.nansum(load.vertical_n * levers.forward * levers.height_m, axis=1)) / height_m
     lacking_n = wanted_n - np.nansum(shear_n[..., 0], axis=1)

@@ -56,17 +56,26 @@ def find_flights(body: WholeBody, marked: Bool[np.ndarray, "frame foot"]) -> lis
 
 
 def find_course(body: WholeBody, contacts: tuple[Contact, ...]) -> Course:
-    """Find speed and median contact: on a treadmill too, for the speed is that over the standing heel in mid-stance."""
-    speeds: list[float] = []
-    path = body.com_lab_m[:, None] - body.T_lab_heel[..., :3, 3]
-    velocity = np.gradient(path, body.times_s, axis=0)
-    forward = (velocity * body.heading_lab[:, None]).sum(axis=-1)
+    """Find speed and median contact.
+
+    The speed is the body's mean in the lab minus that of heels in mid-stance, which a treadmill carries back.
+    """
+
+    def forward_m_s(place_m: Float[np.ndarray, "frame 3"]) -> Float[np.ndarray, " frame"]:
+        return (np.gradient(place_m, body.times_s, axis=0) * body.heading_lab).sum(axis=1)
+
+    heel_m_s = [forward_m_s(body.T_lab_heel[:, foot, :3, 3]) for foot in range(2)]
+    belt_m_s: list[float] = []
     for contact in contacts:
         if contact.whole:
             length = contact.end - contact.begin
             middle = slice(contact.begin + round(0.25 * length), contact.begin + round(0.55 * length) + 1)
-            speeds.append(float(np.mean(forward[middle, contact.foot])))
-    return Course(float(np.nanmedian(speeds)) if speeds else np.nan, median_frames(contacts) / body.rate_hz)
+            belt_m_s.append(float(np.mean(heel_m_s[contact.foot][middle])))
+    known = [speed for speed in belt_m_s if np.isfinite(speed)]
+    body_m_s = forward_m_s(body.com_lab_m)
+    seen = np.isfinite(body_m_s)
+    speed = float(body_m_s[seen].mean() - np.median(known)) if known and seen.any() else np.nan
+    return Course(speed, median_frames(contacts) / body.rate_hz)
 
 
 def outside_range(course: Course, coefficients: ForceCoefficients) -> str:
