@@ -33,6 +33,14 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.gait import (
+    CYCLE_POINTS,
+    EventTrain,
+    FootPaths,
+    GaitCycle,
+    GaitEvents,
+    Measure,
+)
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
@@ -45,6 +53,7 @@ from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
     "BURST",
+    "CYCLE_POINTS",
     "DROPPED",
     "FEET",
     "FILLED",
@@ -75,10 +84,14 @@ __all__ = [
     "Capture",
     "CoordinatePrior",
     "Coordinates",
+    "EventTrain",
     "Finding",
     "FootEvents",
+    "FootPaths",
     "FootPressure",
     "Functions",
+    "GaitCycle",
+    "GaitEvents",
     "ImagePoints",
     "Intrinsics",
     "JointTree",
@@ -90,6 +103,7 @@ __all__ = [
     "Level",
     "MarkerSet",
     "Markers",
+    "Measure",
     "Measurement",
     "Motion",
     "Rig",
