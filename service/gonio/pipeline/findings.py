@@ -421,6 +421,33 @@ KINDS: dict[str, Kind] = {
         "Look at the pictures in the report: does the skeleton lie on the body?",
         "%",
     ),
+    "gait-no-cycle": Kind(
+        "info",
+        "gait",
+        "The recording holds no full gait cycle ({where}), so there are no averages over the cycle and no parameters of gait.",
+        "Film three strides or more in a straight line, each foot striking the ground at least twice in view of all cameras.",
+    ),
+    "gait-few-cycles": Kind(
+        "info",
+        "gait",
+        "On the {where} side, {value:g} cycles count: too few to tell how someone usually walks.",
+        "Film more strides, or several passes: five cycles of each side make a steady average.",
+        "cycles",
+    ),
+    "gait-cycle-odd": Kind(
+        "info",
+        "gait",
+        "A cycle is unlike the others and does not count in the averages: {where}.",
+        "Look at it in the video: a turn, a stumble or a lost limb; if it is how the person walks, film more strides.",
+    ),
+    "gait-events-from-movement": Kind(
+        "info",
+        "gait",
+        "When the feet touch and leave the ground was read off their movement: known to ± {value:.0f} ms (one standard "
+        "deviation).",
+        "Record foot pressure or force plates: they show the contacts themselves.",
+        "ms",
+    ),
 }
 
 

@@ -95,3 +95,94 @@ class Measure:
     def sd(self) -> float:
         """The standard deviation between occurrences, NaN with fewer than two."""
         return float(self.values.std(ddof=1)) if self.values.size > 1 else np.nan
+
+
+@record
+class TimeCurve:
+    """A joint's angle, moment or power over the trial, in the clinical sense and the report's unit, with its error.
+
+    ``quantity`` is its name in the norms, ``knee_flexion``. ``sd`` is the standard deviation of each value's error; NaN
+    where the value is, or where it is not known.
+    """
+
+    quantity: str
+    side: str
+    unit: str
+    values: Float[np.ndarray, " frame"]
+    sd: Float[np.ndarray, " frame"]
+
+
+@record
+class CycleCurves:
+    """The same over the gait cycle: a row a cycle, in the order of the cycles of its side."""
+
+    quantity: str
+    side: str
+    unit: str
+    values: Float[np.ndarray, "cycle 101"]
+    sd: Float[np.ndarray, "cycle 101"]
+
+
+@record
+class GaitAnalysis:
+    """A walk cut into cycles.
+
+    ``belt_m_s`` is how fast the ground moved backwards: 0 on the floor, NaN where nobody walked; ``leg_length_m`` from hip to
+    sole.
+    """
+
+    events: GaitEvents
+    cycles: tuple[GaitCycle, ...]
+    measures: tuple[Measure, ...]
+    curves: tuple[CycleCurves, ...]
+    timebase: Timebase
+    belt_m_s: float
+    leg_length_m: float
+
+    def cycles_of(self, side: str) -> tuple[GaitCycle, ...]:
+        """List the cycles of a side."""
+        return tuple(c for c in self.cycles if FEET[c.foot] == side)
+
+    def measure(self, name: str, side: str) -> Measure | None:
+        """Give a parameter by name and side, if it could be measured."""
+        return next((m for m in self.measures if m.name == name and m.side == side), None)
+
+
+@record
+class NormCurve:
+    """A curve of healthy people over the gait cycle: mean and standard deviation between people."""
+
+    unit: str
+    mean: Float[np.ndarray, "101"]
+    sd: Float[np.ndarray, "101"]
+
+
+@record
+class NormCondition:
+    """Norm curves by quantity for a range of walking speeds, as shares of √(gravity · leg length)."""
+
+    name: str
+    slowest: float
+    fastest: float
+    curves: dict[str, NormCurve]
+
+
+@record
+class Norms:
+    """Norm curves of one source."""
+
+    name: str
+    population: str
+    citation: str
+    licence: str
+    conditions: tuple[NormCondition, ...]
+
+
+@record
+class UsualValues:
+    """What spatio-temporal parameters usually are, by their names."""
+
+    population: str
+    citation: str
+    male: dict[str, float]
+    female: dict[str, float]
