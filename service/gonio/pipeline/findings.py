@@ -359,13 +359,6 @@ KINDS: dict[str, Kind] = {
         "Tight clothes that contrast with the background, more light, and a new calibration help most.",
         "%",
     ),
-    "clip-short": Kind(
-        "info",
-        "triangulation",
-        "The recording lasts {value:.1f} s: too short for a mean over gait cycles.",
-        "Record at least three strides of each leg at a steady pace.",
-        "s",
-    ),
     "mass-unknown": Kind(
         "info",
         "scaling",
@@ -430,7 +423,7 @@ KINDS: dict[str, Kind] = {
     "gait-few-cycles": Kind(
         "info",
         "gait",
-        "On the {where} side, {value:g} cycles count: too few to tell how someone usually walks.",
+        "The averages over the gait cycle rest on few cycles ({where}): too few to tell how someone usually walks.",
         "Film more strides, or several passes: five cycles of each side make a steady average.",
         "cycles",
     ),

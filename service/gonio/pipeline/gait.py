@@ -78,7 +78,7 @@ def analyse_gait(
         measures=measure_gait(events, cycles, paths, bouts),
         curves=tuple(_over_cycles(curve, cycles) for curve in curves),
         timebase=timebase,
-        belt_m_s=-float(np.mean([b.belt_m_s for b in walked])) if walked else np.nan,
+        belt_m_s=abs(float(np.mean([b.belt_m_s for b in walked]))) if walked else np.nan,
         leg_length_m=_leg_length_m(model),
     )
     return Outcome(analysis, judge_gait(analysis))
@@ -106,13 +106,13 @@ def judge_gait(analysis: GaitAnalysis) -> tuple[Finding, ...]:
         return (finding("gait-no-cycle", where=where),)
     findings: list[Finding] = []
     for side in FEET:
-        of_side = analysis.cycles_of(side)
-        for number, cycle in enumerate(of_side, 1):
+        for number, cycle in enumerate(analysis.cycles_of(side), 1):
             if cycle.left_out:
                 findings.append(finding("gait-cycle-odd", where=f"{side} cycle {number}: {cycle.left_out}"))
-        kept = sum(not c.left_out for c in of_side)
-        if kept < FEW_CYCLES:
-            findings.append(finding("gait-few-cycles", where=side, value=kept))
+    kept = {side: sum(not c.left_out for c in analysis.cycles_of(side)) for side in FEET}
+    if min(kept.values()) < FEW_CYCLES:
+        where = ", ".join(f"{count} {side}" for side, count in kept.items())
+        findings.append(finding("gait-few-cycles", where=where, value=min(kept.values())))
     trains = (*analysis.events.strikes, *analysis.events.lifts)
     unseen = np.concatenate([train.sd_s[~train.from_force] for train in trains])
     if unseen.size:

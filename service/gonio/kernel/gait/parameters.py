@@ -14,6 +14,19 @@ from gonio.kernel.gait.phases import bout_at
 from gonio.kernel.gait.progression import Bout
 from gonio.records import FEET, FootPaths, GaitCycle, GaitEvents, Measure
 
+ORDER = (
+    "speed",
+    "cadence",
+    "step length",
+    "stride length",
+    "step width",
+    "step time",
+    "stride time",
+    "stance",
+    "single support",
+    "double support",
+)
+
 LONGEST_STEP_S = 1.5
 """Contacts of the two feet that are farther apart are no step."""
 
@@ -21,14 +34,14 @@ LONGEST_STEP_S = 1.5
 def measure_gait(
     events: GaitEvents, cycles: Sequence[GaitCycle], paths: FootPaths, bouts: tuple[Bout, ...]
 ) -> tuple[Measure, ...]:
-    """Measure a walk: parameters of each side, then those of both; a parameter without a single value is left out."""
+    """Measure a walk, in the order of ``ORDER``; a parameter without a single value is left out."""
     kept = [c for c in cycles if not c.left_out]
     found = [
         *_of_steps(events, paths, bouts),
         *_of_strides(kept, paths, bouts),
         *_of_times(kept, paths.timebase.rate_hz),
     ]
-    return tuple(m for m in found if m.values.size)
+    return tuple(sorted((m for m in found if m.values.size), key=lambda m: ORDER.index(m.name)))
 
 
 def symmetry_index_percent(right: float, left: float) -> float:
