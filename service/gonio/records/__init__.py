@@ -33,6 +33,7 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.force_plates import FootForces, ForcePlates
 from gonio.records.gait import (
     CYCLE_POINTS,
     CycleCurves,
@@ -51,7 +52,7 @@ from gonio.records.gait import (
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
-from gonio.records.pressure import FootPressure, VirtualPressure
+from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
 from gonio.records.virtual_board import VirtualBoard
@@ -95,8 +96,10 @@ __all__ = [
     "EventTrain",
     "Finding",
     "FootEvents",
+    "FootForces",
     "FootPaths",
     "FootPressure",
+    "ForcePlates",
     "Functions",
     "GaitAnalysis",
     "GaitCycle",
@@ -118,6 +121,7 @@ __all__ = [
     "NormCondition",
     "NormCurve",
     "Norms",
+    "PressureStream",
     "Rig",
     "RigCheck",
     "Severity",
