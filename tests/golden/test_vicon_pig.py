@@ -17,7 +17,7 @@ from gonio.kernel.body.scaling import measure_scale_factors, scale_model
 from gonio.kernel.dynamics.recursive import Wrench, solve_dynamics
 from gonio.kernel.dynamics.zero_lag import differentiate
 from gonio.kernel.forces.plates import assign_plates
-from gonio.kernel.gait.events import events_from_force, events_from_movement, prefer
+from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
 from gonio.kernel.gait.paths import foot_paths
 from gonio.kernel.gait.progression import find_bouts
 from gonio.kernel.kinematics.inverse import solve_motion
@@ -72,7 +72,7 @@ def _errors_ms(events: GaitEvents, trial: Trial, *, of_force: bool) -> dict[tupl
 
 def test_events_are_those_of_the_file(trial: Trial) -> None:
     moved = events_from_movement(trial.paths, find_bouts(trial.paths))
-    pushed = events_from_force(trial.forces.wrench[..., 1], trial.paths.timebase.rate_hz)
+    pushed = events_from_force(trial.forces.times_s, trial.forces.wrench[..., 1], trial.paths.timebase)
     by_movement, by_force = _errors_ms(moved, trial, of_force=False), _errors_ms(pushed, trial, of_force=True)
     assert sum(map(len, by_movement.values())) == 9
     assert sum(map(len, by_force.values())) == 6
@@ -80,7 +80,7 @@ def test_events_are_those_of_the_file(trial: Trial) -> None:
     assert max(abs(e) for errors in by_movement.values() for e in errors) < 20
     assert max(abs(e) for (label, _), errors in by_force.items() for e in errors if label == "Foot Strike") < 10
     assert max(abs(e) for errors in by_force.values() for e in errors) < 25
-    both = prefer(pushed, moved, trial.paths.timebase.rate_hz)
+    both = fuse(pushed, moved, trial.paths.timebase.rate_hz)
     assert sum(len(t.frames) for t in (*both.strikes, *both.lifts)) == 9
 
 

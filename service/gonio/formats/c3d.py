@@ -79,7 +79,7 @@ def read_c3d(path: Path, name: str = "") -> C3d:
     """Read a C3D file.
 
     Raises:
-        InputError: ``c3d-unreadable``: the file can't be read, has no frames, unknown units, or a force plate that is
+        InputError: ``capture-file-unreadable``: the file can't be read, has no frames, unknown units, or a force plate that is
             none of the types 1 to 4 or lacks its corners, origin, channels or calibration.
     """
     name = name or path.name
@@ -89,12 +89,12 @@ def read_c3d(path: Path, name: str = "") -> C3d:
         _check_length(path, content["data"]["points"].shape[2])
         return _convert(content, parameters, name)
     except InputError as error:
-        raise InputError(f"{name}: {error.message}", hint=error.hint, code="c3d-unreadable") from error
+        raise InputError(f"{name}: {error.message}", hint=error.hint, code="capture-file-unreadable") from error
     except Exception as error:  # ezc3d raises whatever its C++ did
         raise InputError(
             f"{name} is no C3D file that can be read: {str(error).strip().splitlines()[:1] or type(error).__name__}.",
             hint="Was it cut short? Export it again.",
-            code="c3d-unreadable",
+            code="capture-file-unreadable",
         ) from error
 
 

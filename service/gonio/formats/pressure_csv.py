@@ -4,6 +4,7 @@ Each part of the table becomes force and centre of pressure of both feet at once
 longer than its part. Samples long before or after the video are passed over.
 """
 
+import csv
 from collections.abc import Generator, Iterator
 from contextlib import closing
 from io import StringIO
@@ -16,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from gonio.errors import InputError
 from gonio.formats.pressure_card import (
+    DEFAULT_COLUMNS,
     METRES,
     NEWTONS,
     PASCALS,
@@ -42,8 +44,9 @@ SPAN_S = (-60.0, 600.0)
 PART_VALUES = 2_000_000
 """So many cells are parsed at a time: some 16 MB as numbers."""
 
-LONGEST_LINE = 1 << 22
-"""Characters: a line of more is no header of columns."""
+SEPARATORS = (",", ";", "\t")
+LONGEST_LINE = 1 << 17
+"""Characters: a line of more is no header of columns. It is also the longest name that the csv module reads."""
 
 GAP_STEPS = 2.5
 """A step of the clock that is so many times the usual one is a gap: at least one sample was lost."""
@@ -107,6 +110,31 @@ def read_pressure(
         )
     whole = _Part(*(np.concatenate(values) for values in zip(*kept, strict=True)))
     return _finish(whole, card, name)
+
+
+def write_pressure(path: Path, pressure: FootPressure) -> None:
+    """Write a stream as a table that needs no card; a lost value is an empty cell. Microseconds, mN and µm are kept."""
+    columns = [pressure.times_s]
+    for foot in range(len(FEET)):
+        columns += [pressure.vertical_n[:, foot], *pressure.cop_foot_m[:, foot].T]
+    table = pd.DataFrame(dict(zip(DEFAULT_COLUMNS, columns, strict=True)))
+    table.to_csv(path, index=False, float_format="%.6f", lineterminator="\n")
+
+
+def has_default_columns(path: Path) -> bool:
+    """Tell whether a table needs no card.
+
+    Raises:
+        InputError: ``pressure-unreadable``: the file can't be read, or is no table at all.
+    """
+    line = _first_line(path, path.name)
+    if not line.strip() or not line.replace("\t", "").isprintable():
+        raise InputError(
+            f"{path.name} is no table: its first line names no columns.",
+            hint="Give a CSV file with a header line.",
+            code="pressure-unreadable",
+        )
+    return any(set(DEFAULT_COLUMNS) <= set(_split(line, separator)) for separator in SEPARATORS)
 
 
 def _finish(whole: _Part, card: PressureCard, name: str) -> PressureStream:
@@ -213,23 +241,31 @@ def _parts(path: Path, name: str, card: PressureCard) -> Generator[_Part, None, 
 
 def _header(path: Path, name: str, time: str) -> tuple[str, list[str]]:
     """Give the separator and the names of the columns."""
-    try:
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
-            line = file.readline(LONGEST_LINE).rstrip("\r\n")
-    except OSError as error:
-        raise InputError(
-            f"{name} can't be read: {error.strerror}.", hint="Check the path.", code="pressure-unreadable"
-        ) from error
-    for separator in (",", ";", "\t"):
-        header = pd.read_csv(StringIO(line), sep=separator, header=None, dtype=str).iloc[0].tolist() if line else []
+    line = _first_line(path, name)
+    for separator in SEPARATORS:
+        header = _split(line, separator)
         if time in header:
-            return separator, [str(column) for column in header]
+            return separator, header
     raise InputError(
         f"{name} has no column {time!r} in its first line: {line[:120]!r}.",
         hint="Give a table with a header line, and a pressure card that names its columns; without a card, they are those "
         "of docs/reference/pressure-formats.md.",
         code="pressure-unreadable",
     )
+
+
+def _first_line(path: Path, name: str) -> str:
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            return file.readline(LONGEST_LINE).rstrip("\r\n")
+    except OSError as error:
+        raise InputError(
+            f"{name} can't be read: {error.strerror}.", hint="Check the path.", code="pressure-unreadable"
+        ) from error
+
+
+def _split(line: str, separator: str) -> list[str]:
+    return next(csv.reader([line], delimiter=separator), [])
 
 
 def _reduce(table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: PressureCard) -> _Part:

@@ -18,6 +18,7 @@ from gonio.pipeline.describe_gait import describe_gait
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Parameters, parameters_document
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.reconstruction import Reconstruction as Reconstructed
 from gonio.pipeline.reconstruction import camera_bias_px, segment_lengths_m
 from gonio.pipeline.report_base import Level
@@ -58,6 +59,7 @@ class Analysis:
     points: LabPoints
     body: SubjectBody
     motion: BodyMotion
+    measured: Measured
     gait: GaitAnalysis
 
 

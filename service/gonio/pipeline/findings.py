@@ -3,21 +3,9 @@
 ``docs/reference/findings.md`` is made from this table, and a test holds the two together.
 """
 
-from dataclasses import dataclass
-
+from gonio.pipeline.finding_kind import Kind
+from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of finding; ``message`` may name ``{where}`` and ``{value}``."""
-
-    severity: Severity
-    stage: str
-    message: str
-    hint: str
-    unit: str = ""
-
 
 KINDS: dict[str, Kind] = {
     "board-layout": Kind(
@@ -441,6 +429,7 @@ KINDS: dict[str, Kind] = {
         "Record foot pressure or force plates: they show the contacts themselves.",
         "ms",
     ),
+    **SENSOR_KINDS,
 }
 
 

@@ -3,17 +3,18 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from gonio.kernel.body.forward import body_poses
 from gonio.kernel.gait.cycles import cut_cycles, leave_out_odd, normalise
-from gonio.kernel.gait.events import events_from_force, events_from_movement, prefer
+from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
+from gonio.kernel.gait.norms import GRAVITY_M_S2
 from gonio.kernel.gait.parameters import measure_gait
 from gonio.kernel.gait.paths import foot_paths
-from gonio.kernel.gait.progression import find_bouts
+from gonio.kernel.gait.progression import Bout, find_bouts
 from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.pipeline.findings import finding
 from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
 from gonio.records import (
     FEET,
@@ -21,6 +22,7 @@ from gonio.records import (
     CycleCurves,
     EventTrain,
     Finding,
+    FootPaths,
     GaitAnalysis,
     GaitCycle,
     GaitEvents,
@@ -32,6 +34,9 @@ from gonio.records import (
 COMPARED = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
 """The curves by which an odd cycle is told."""
 
+SOLE_SHARE = 0.05
+"""Of the body's weight: from here on a sole counts as loaded; straps and drift press with less."""
+
 FEW_CYCLES = 3
 """With fewer of a side, the average says little about how someone usually walks."""
 
@@ -39,18 +44,16 @@ FEW_CYCLES = 3
 def analyse_gait(
     found: BodyMotion,
     timebase: Timebase,
+    measured: Measured,
     moments: Sequence[TimeCurve] = (),
-    vertical_n: Float[np.ndarray, "frame foot"] | None = None,
-    sensor_rate_hz: float | None = None,
 ) -> Outcome[GaitAnalysis]:
     """Find the events, cut the cycles, average and measure; without a full cycle, give what there is, and say so.
 
     Args:
         found: The motion.
         timebase: Of the motion.
+        measured: What soles and plates measured: forces show the events better than the motion.
         moments: Joint moments and powers over the trial.
-        vertical_n: Force under each foot, which shows the events better than the motion; NaN where it was not measured.
-        sensor_rate_hz: How often that was measured, if not in every frame.
     """
     motion, model = found.motion, found.model
     curves = (*angle_curves(motion, model), *moments)
@@ -59,11 +62,7 @@ def analyse_gait(
         nothing = _nothing_found(curves, timebase, _leg_length_m(model))
         return Outcome(nothing, (finding("gait-no-cycle", where="the body model has no heels and toes"),))
     bouts = find_bouts(paths)
-    events = events_from_movement(paths, bouts)
-    if vertical_n is not None:
-        events = prefer(
-            events_from_force(vertical_n, timebase.rate_hz, sensor_rate_hz=sensor_rate_hz), events, timebase.rate_hz
-        )
+    events = find_events(paths, bouts, measured, model.mass_kg)
     cycles = cut_cycles(events, paths, bouts)
     compared = {
         quantity: np.array([normalise(_curve(curves, quantity, FEET[c.foot]).values, c) for c in cycles])
@@ -82,6 +81,22 @@ def analyse_gait(
         leg_length_m=_leg_length_m(model),
     )
     return Outcome(analysis, judge_gait(analysis))
+
+
+def find_events(paths: FootPaths, bouts: tuple[Bout, ...], measured: Measured, mass_kg: float) -> GaitEvents:
+    """Find the events from the movement, and from whatever measured a force: plates before soles."""
+    timebase = paths.timebase
+    events = events_from_movement(paths, bouts)
+    soles, plates = measured.pressure, measured.plates
+    if soles is not None:
+        threshold_n = SOLE_SHARE * mass_kg * GRAVITY_M_S2
+        events = fuse(
+            events_from_force(soles.times_s, soles.vertical_n, timebase, threshold_n), events, timebase.rate_hz
+        )
+    if plates is not None:
+        by_plates = events_from_force(plates.times_s, plates.wrench[..., 1], timebase)
+        events = fuse(by_plates, events, timebase.rate_hz)
+    return events
 
 
 def angle_curves(motion: Motion, model: BodyModel) -> tuple[TimeCurve, ...]:

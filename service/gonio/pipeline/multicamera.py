@@ -12,6 +12,7 @@ from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters
+from gonio.pipeline.pressure import measure_forces, read_sensors
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
 from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
@@ -23,7 +24,8 @@ def analyse(
     """Compute a gait report from the files of one session.
 
     Args:
-        capture_files: The videos and the calibration; the lab's own body model and its marker set, if it has them.
+        capture_files: The videos and the calibration; the table of foot pressure with its card, the force plates; the
+            lab's own body model and its marker set: each if there is one.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -38,6 +40,7 @@ def analyse(
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
     capture = runner("capture", lambda _: read_capture(capture_files, rig))
+    sensors = runner("sensors", lambda _: read_sensors(capture_files, capture.frame_count / capture.timebase.rate_hz))
     keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
     checked = runner("checks", lambda _: check_keypoints(keypoints.points, capture.rig, chosen.reconstruction))
     delays, synchronous = runner("synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction))
@@ -47,7 +50,8 @@ def analyse(
     points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
-    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase))
+    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
+    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured))
 
     analysis = Analysis(
         files=tuple(capture_files),
@@ -60,6 +64,7 @@ def analyse(
         points=points,
         body=body,
         motion=motion,
+        measured=measured,
         gait=gait,
     )
     return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))

@@ -153,7 +153,7 @@ def uncalibrated(content):
 def test_what_can_not_be_understood_is_refused(tmp_path, spoil, message):
     with pytest.raises(InputError, match=message) as raised:
         read_c3d(write(tmp_path / "a.c3d", 2, spoil=spoil))
-    assert raised.value.code == "c3d-unreadable"
+    assert raised.value.code == "capture-file-unreadable"
     assert raised.value.message.startswith("a.c3d")
 
 
@@ -162,7 +162,7 @@ def test_what_is_no_c3d_is_refused(tmp_path, content):
     (tmp_path / "a.c3d").write_bytes(content)
     with pytest.raises(InputError) as raised:
         read_c3d(tmp_path / "a.c3d")
-    assert raised.value.code == "c3d-unreadable"
+    assert raised.value.code == "capture-file-unreadable"
 
 
 def test_a_file_cut_short_is_refused(tmp_path):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from gonio.formats.osim import read_osim
 from gonio.kernel.gait.cycles import average, cut_cycles, leave_out_odd, normalise
-from gonio.kernel.gait.events import events_from_force, events_from_movement, prefer
+from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
 from gonio.kernel.gait.parameters import measure_gait, symmetry_index_percent
 from gonio.kernel.gait.paths import foot_paths
 from gonio.kernel.gait.phases import phase_bounds
@@ -106,7 +106,7 @@ def test_events_whichever_way_and_on_a_belt(
 
 def test_events_from_force(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:
     walker, truth, _ = trial
-    events = events_from_force(truth.wrench[..., 1], RATE_HZ)
+    events = events_from_force(truth.times_s, truth.wrench[..., 1], Timebase(rate_hz=RATE_HZ, start_s=0.013))
     _, missed = _errors_frames(events, truth)
     assert missed == 0
     for foot, trains in enumerate(zip(events.strikes, events.lifts, strict=True)):
@@ -119,7 +119,9 @@ def test_events_from_force(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:
 
 def test_a_contact_that_begins_beside_the_plate_has_no_strike() -> None:
     force_n = np.concatenate([np.full(20, np.nan), np.full(30, 700.0), np.zeros(30), np.full(30, 700.0)])
-    events = events_from_force(np.stack([force_n, np.zeros(110)], axis=1), 100.0)
+    events = events_from_force(
+        np.arange(110) / 100.0, np.stack([force_n, np.zeros(110)], axis=1), Timebase(rate_hz=100.0)
+    )
     # From 0 to 700 N in a frame, 20 N are passed after 20/700 of it; the last contact is cut by the recording's end.
     assert_allclose(events.strikes[0].frames, [79.0 + 20 / 700])
     assert_allclose(events.lifts[0].frames, [49.0 + 680 / 700])
@@ -131,22 +133,36 @@ def test_a_short_break_is_no_lift_and_a_short_knock_no_contact() -> None:
     force_n[20:80] = 700.0
     force_n[50:55] = 0.0  # 50 ms
     force_n[150:155] = 700.0
-    events = events_from_force(np.stack([force_n, np.zeros(200)], axis=1), 100.0)
+    events = events_from_force(
+        np.arange(200) / 100.0, np.stack([force_n, np.zeros(200)], axis=1), Timebase(rate_hz=100.0)
+    )
     assert len(events.strikes[0].frames) == len(events.lifts[0].frames) == 1
 
 
-def test_force_is_preferred_and_movement_fills_in() -> None:
-    def train(frames: list[float], force: bool) -> EventTrain:
-        count = len(frames)
-        return EventTrain(frames=np.array(frames), sd_s=np.full(count, 0.01), from_force=np.full(count, force))
+def _events(frames: list[float], sd_s: float, *, force: bool) -> GaitEvents:
+    count = len(frames)
+    train = EventTrain(frames=np.array(frames), sd_s=np.full(count, sd_s), from_force=np.full(count, force))
+    return GaitEvents(strikes=(train, train), lifts=(train, train))
 
-    def events(frames: list[float], force: bool) -> GaitEvents:
-        both = train(frames, force), train(frames, force)
-        return GaitEvents(strikes=both, lifts=both)
 
-    merged = prefer(events([100.0], True), events([20.0, 103.0, 200.0], False), 100.0).strikes[0]
-    assert_allclose(merged.frames, [20.0, 100.0, 200.0])
-    assert merged.from_force.tolist() == [False, True, False]
+def test_a_sure_force_is_taken_and_movement_fills_in() -> None:
+    moved = _events([20.0, 103.0, 200.0], 0.015, force=False)
+    fused = fuse(_events([100.0], 0.005, force=True), moved, 100.0).strikes[0]
+    assert_allclose(fused.frames, [20.0, 100.0, 200.0])
+    assert fused.from_force.tolist() == [False, True, False]
+    assert_allclose(fuse(_events([], 0.005, force=True), moved, 100.0).lifts[1].frames, [20.0, 103.0, 200.0])
+
+
+def test_a_slow_sensor_and_the_movement_are_averaged() -> None:
+    # Twenty samples a second say no more than that the load began between two of them: 50 ms / √12 = 14 ms.
+    vertical_n = np.array([0.0, 0.0, 400.0, 700.0, 700.0, 0.0])[:, None] * [1.0, 0.0]
+    slow = events_from_force(np.arange(6) / 20.0, vertical_n, Timebase(rate_hz=100.0))
+    assert_allclose(slow.strikes[0].frames, [7.5])
+    assert_allclose(slow.lifts[0].frames, [22.5])
+    assert slow.strikes[0].sd_s[0] == pytest.approx(np.hypot(0.005, 0.05 / np.sqrt(12)))
+    fused = fuse(slow, _events([6.5], float(slow.strikes[0].sd_s[0]), force=False), 100.0).strikes[0]
+    assert_allclose(fused.frames, [7.0])
+    assert fused.sd_s[0] == pytest.approx(slow.strikes[0].sd_s[0] / np.sqrt(2))
 
 
 def test_turning_round_is_cut_out(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:

@@ -1,6 +1,7 @@
 """The stage gait and its part of the report, from a motion that is known."""
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from gonio.pipeline.figures import cycle_figure
 from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Subject
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.report_page import key_facts
-from gonio.records import BodyModel, Finding, GaitAnalysis, Motion, Timebase, TimeCurve, WalkTruth
+from gonio.records import BodyModel, Finding, FootForces, GaitAnalysis, Motion, Timebase, TimeCurve, WalkTruth
 from gonio.resources import models_dir
 
 RATE_HZ = 60.0
+NOTHING = Measured(pressure=None, clock=None, plates=None)
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +46,10 @@ def _found(man: BodyModel, truth: WalkTruth, values: np.ndarray | None = None) -
     return BodyMotion(motion=motion, model=man, two_step=motion, fit=None, distrusted="")
 
 
-def _analyse(found: BodyMotion, **forces: object) -> tuple[GaitAnalysis, list[Finding]]:
-    outcome = analyse_gait(found, Timebase(rate_hz=RATE_HZ, start_s=0.013), **forces)  # type: ignore[arg-type]
+def _analyse(
+    found: BodyMotion, measured: Measured = NOTHING, moments: Sequence[TimeCurve] = ()
+) -> tuple[GaitAnalysis, list[Finding]]:
+    outcome = analyse_gait(found, Timebase(rate_hz=RATE_HZ, start_s=0.013), measured, moments)
     return outcome.value, list(outcome.findings)
 
 
@@ -98,9 +103,12 @@ def test_children_are_compared_with_children_alone(man: BodyModel, truth: WalkTr
 
 
 def test_forces_show_the_events_where_they_are(man: BodyModel, truth: WalkTruth) -> None:
-    vertical_n = truth.wrench[..., 1].copy()
-    vertical_n[:, 1] = np.nan  # the left foot never met a plate
-    gait, findings = _analyse(_found(man, truth), vertical_n=vertical_n)
+    wrench = truth.wrench.copy()
+    wrench[:, 1] = np.nan  # the left foot never met a plate
+    plates = FootForces(
+        times_s=truth.times_s, wrench=wrench, cop_lab_m=truth.cop_lab_m, shared=np.zeros(len(wrench), dtype=bool)
+    )
+    gait, findings = _analyse(_found(man, truth), Measured(pressure=None, clock=None, plates=plates))
     assert gait.events.strikes[0].from_force.any()
     assert not gait.events.strikes[1].from_force.any()
     assert "gait-events-from-movement" in {f.code for f in findings}

@@ -15,12 +15,12 @@ to +13 ms at the strike and by -7 to +11 ms at the lift, by recording.
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.signal import find_peaks
 
 from gonio.kernel.gait.progression import Bout
 from gonio.kernel.smoothing.filters import known_runs, low_pass
-from gonio.records import EventTrain, FootPaths, GaitEvents
+from gonio.records import EventTrain, FootPaths, GaitEvents, Timebase
 
 METHOD = "O'Connor et al. 2007 near Zeni et al. 2008 (contact), Bruening & Ridge 2014 (toe-off)"
 FORCE_METHOD = "vertical force"
@@ -43,6 +43,9 @@ THRESHOLD_N = 20.0
 
 FORCE_SD_S = 0.005
 """Of the instant at which the threshold is passed: the load rises by 20 N in 2 to 10 ms."""
+
+CLOSE_S = 0.02
+"""Between samples that are so close, a load rises on a straight line; in 50 ms it may be half the body's weight."""
 
 LONGEST_BREAK_S = 0.08
 SHORTEST_STANCE_S = 0.1
@@ -74,54 +77,75 @@ def events_from_movement(paths: FootPaths, bouts: tuple[Bout, ...]) -> GaitEvent
 
 
 def events_from_force(
-    vertical_n: Float[np.ndarray, "frame foot"],
-    rate_hz: float,
-    *,
-    sensor_rate_hz: float | None = None,
+    times_s: Float[np.ndarray, " sample"],
+    vertical_n: Float[np.ndarray, "sample foot"],
+    timebase: Timebase,
     threshold_n: float = THRESHOLD_N,
 ) -> GaitEvents:
     """Find the events of both feet from the vertical force under each.
 
+    Between a bare and a loaded sample that are close, the force passes the threshold on a straight line. Where samples are
+    farther apart the load may begin anywhere between, and the middle is taken.
+
     Args:
+        times_s: Of the samples, ascending, at any rate.
         vertical_n: Upwards on the foot, N; NaN where nothing measured that foot (it may be beside the plate). A contact that
             begins or ends at such a gap, or at the recording's end, gives no event there.
-        rate_hz: Frames a second.
-        sensor_rate_hz: How often the force was measured, if less often: it limits how exactly events are known.
+        timebase: Of the frames that the events are counted in.
         threshold_n: From where on a foot counts as on the ground.
     """
-    period_s = 1.0 / min(rate_hz, sensor_rate_hz or rate_hz)
-    sd_s = float(np.hypot(FORCE_SD_S, period_s / np.sqrt(12.0)))
-    strikes: list[list[float]] = [[], []]
-    lifts: list[list[float]] = [[], []]
+    trains: dict[str, list[EventTrain]] = {"strike": [], "lift": []}
     for foot in (0, 1):
         force_n = vertical_n[:, foot]
-        for first, last in _contacts(force_n > threshold_n, rate_hz):
-            if first > 0 and np.isfinite(force_n[first - 1]):
-                strikes[foot].append(first - 1 + _passing(force_n[first - 1], force_n[first], threshold_n))
-            if last < len(force_n) - 1 and np.isfinite(force_n[last + 1]):
-                lifts[foot].append(last + _passing(force_n[last], force_n[last + 1], threshold_n))
-    return GaitEvents(
-        strikes=(_train(strikes[0], sd_s, force=True), _train(strikes[1], sd_s, force=True)),
-        lifts=(_train(lifts[0], sd_s, force=True), _train(lifts[1], sd_s, force=True)),
-    )
+        contacts = _contacts(times_s, force_n > threshold_n)
+        edges = {
+            "strike": [(first - 1, first) for first, _ in contacts if first > 0],
+            "lift": [(last, last + 1) for _, last in contacts if last < len(force_n) - 1],
+        }
+        for kind, pairs in edges.items():
+            seen = [(k, j) for k, j in pairs if np.isfinite(force_n[k] + force_n[j])]
+            gap_s = np.array([times_s[j] - times_s[k] for k, j in seen])
+            share = [_passing(force_n[k], force_n[j], threshold_n) for k, j in seen]
+            share = np.where(gap_s > CLOSE_S, 0.5, share)
+            at_s = np.array([times_s[k] for k, _ in seen]) + share * gap_s
+            trains[kind].append(
+                EventTrain(
+                    frames=(at_s - timebase.start_s) * timebase.rate_hz,
+                    sd_s=np.hypot(FORCE_SD_S, gap_s / np.sqrt(12.0)),
+                    from_force=np.ones(len(seen), dtype=bool),
+                )
+            )
+    return GaitEvents(strikes=(trains["strike"][0], trains["strike"][1]), lifts=(trains["lift"][0], trains["lift"][1]))
 
 
-def prefer(first: GaitEvents, second: GaitEvents, rate_hz: float) -> GaitEvents:
-    """Take the events of ``first``, and from ``second`` those that ``first`` lacks."""
+def fuse(forces: GaitEvents, movement: GaitEvents, rate_hz: float) -> GaitEvents:
+    """Put both kinds of evidence together: an event that both show has the mean weighted by their variances.
+
+    A force that is more than twice as sure is taken as it is; what only one of them shows is kept.
+    """
 
     def join(a: EventTrain, b: EventTrain) -> EventTrain:
-        lacking = np.array([not np.any(np.abs(a.frames - f) < SAME_EVENT_S * rate_hz) for f in b.frames], dtype=bool)
-        frames = np.concatenate([a.frames, b.frames[lacking]])
+        frames, sd_s, from_force = list(a.frames), list(a.sd_s), [True] * len(a.frames)
+        for frame, sd in zip(b.frames, b.sd_s, strict=True):
+            k = int(np.argmin(np.abs(a.frames - frame))) if a.frames.size else -1
+            if k < 0 or abs(a.frames[k] - frame) > SAME_EVENT_S * rate_hz:
+                frames.append(frame)
+                sd_s.append(sd)
+                from_force.append(False)
+            elif a.sd_s[k] > 0.5 * sd:
+                weight = a.sd_s[k] ** -2, sd**-2
+                frames[k] = (weight[0] * a.frames[k] + weight[1] * frame) / sum(weight)
+                sd_s[k] = sum(weight) ** -0.5
         order = np.argsort(frames)
         return EventTrain(
-            frames=frames[order],
-            sd_s=np.concatenate([a.sd_s, b.sd_s[lacking]])[order],
-            from_force=np.concatenate([a.from_force, b.from_force[lacking]])[order],
+            frames=np.array(frames)[order],
+            sd_s=np.array(sd_s)[order],
+            from_force=np.array(from_force, dtype=bool)[order],
         )
 
     return GaitEvents(
-        strikes=(join(first.strikes[0], second.strikes[0]), join(first.strikes[1], second.strikes[1])),
-        lifts=(join(first.lifts[0], second.lifts[0]), join(first.lifts[1], second.lifts[1])),
+        strikes=(join(forces.strikes[0], movement.strikes[0]), join(forces.strikes[1], movement.strikes[1])),
+        lifts=(join(forces.lifts[0], movement.lifts[0]), join(forces.lifts[1], movement.lifts[1])),
     )
 
 
@@ -174,16 +198,16 @@ def _rise(speed_m_s: Float[np.ndarray, " frame"], level_m_s: float, near: int, r
     return k + _passing(speed_m_s[k], speed_m_s[k + 1], level_m_s)
 
 
-def _contacts(loaded: np.ndarray, rate_hz: float) -> list[tuple[int, int]]:
-    """List the first and last frame of each contact: short breaks closed, short contacts dropped."""
+def _contacts(times_s: Float[np.ndarray, " sample"], loaded: Bool[np.ndarray, " sample"]) -> list[tuple[int, int]]:
+    """List the first and last sample of each contact: short breaks closed, short contacts dropped."""
     runs = [(start, stop - 1) for _, start, stop in known_runs(np.where(loaded, 0.0, np.nan)[:, None])]
     joined: list[tuple[int, int]] = []
     for first, last in runs:
-        if joined and first - joined[-1][1] - 1 < LONGEST_BREAK_S * rate_hz:
+        if joined and times_s[first] - times_s[joined[-1][1]] < LONGEST_BREAK_S:
             joined[-1] = joined[-1][0], last
         else:
             joined.append((first, last))
-    return [(first, last) for first, last in joined if last - first + 1 >= SHORTEST_STANCE_S * rate_hz]
+    return [(first, last) for first, last in joined if times_s[last] - times_s[first] >= SHORTEST_STANCE_S]
 
 
 def _passing(before: float, after: float, level: float) -> float:
@@ -191,9 +215,9 @@ def _passing(before: float, after: float, level: float) -> float:
     return float(np.clip((level - before) / (after - before), 0.0, 1.0)) if after != before else 0.5
 
 
-def _train(frames: list[float], sd_s: float, *, force: bool = False) -> EventTrain:
+def _train(frames: list[float], sd_s: float) -> EventTrain:
     return EventTrain(
         frames=np.array(sorted(frames), dtype=float),
         sd_s=np.full(len(frames), sd_s),
-        from_force=np.full(len(frames), force),
+        from_force=np.zeros(len(frames), dtype=bool),
     )
