@@ -8,6 +8,7 @@ from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.describe import Analysis
+from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters
@@ -50,6 +51,7 @@ def analyse(
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
     measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
+    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured))
 
     analysis = Analysis(
         files=tuple(capture_files),
@@ -63,5 +65,6 @@ def analyse(
         body=body,
         motion=motion,
         measured=measured,
+        gait=gait,
     )
     return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))
