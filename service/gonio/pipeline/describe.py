@@ -15,6 +15,7 @@ from gonio.kernel.kinematics.clinical import ClinicalAngle, clinical_deg, clinic
 from gonio.kernel.synchronization.delays import Synchronization
 from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.describe_gait import describe_gait
+from gonio.pipeline.describe_kinetics import describe_kinetics
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Parameters, parameters_document
@@ -36,7 +37,7 @@ from gonio.pipeline.report_schema import (
 )
 from gonio.pipeline.rounding import number, series
 from gonio.pipeline.run import CaptureFile
-from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, LabPoints
+from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, GroundForces, LabPoints, Torques
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -60,6 +61,8 @@ class Analysis:
     body: SubjectBody
     motion: BodyMotion
     measured: Measured
+    forces: GroundForces | None
+    torques: Torques | None
     gait: GaitAnalysis
 
 
@@ -221,6 +224,7 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
         time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
         angles=describe_angles(analysis),
         gait=describe_gait(analysis.gait, analysis.parameters.subject),
+        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion),
         provenance=describe_provenance(analysis.files, analysis.parameters, models),
     )
 

@@ -4,6 +4,7 @@
 """
 
 from gonio.pipeline.finding_kind import Kind
+from gonio.pipeline.findings_forces import FORCE_KINDS
 from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
 
@@ -430,6 +431,7 @@ KINDS: dict[str, Kind] = {
         "ms",
     ),
     **SENSOR_KINDS,
+    **FORCE_KINDS,
 }
 
 

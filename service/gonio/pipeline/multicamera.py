@@ -8,6 +8,8 @@ from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.describe import Analysis
+from gonio.pipeline.dynamics import find_joint_torques, moment_curves
+from gonio.pipeline.forces import find_forces
 from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
@@ -51,7 +53,10 @@ def analyse(
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
     measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
-    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured))
+    forces = runner("forces", lambda _: find_forces(motion, measured, chosen))
+    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen))
+    moments = moment_curves(motion, torques)
+    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured, moments))
 
     analysis = Analysis(
         files=tuple(capture_files),
@@ -65,6 +70,8 @@ def analyse(
         body=body,
         motion=motion,
         measured=measured,
+        forces=forces,
+        torques=torques,
         gait=gait,
     )
     return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))

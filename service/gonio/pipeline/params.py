@@ -98,6 +98,18 @@ class KinematicsParameters:
 class ForceParameters:
     """How the forces of the ground are found."""
 
+    method: Annotated[
+        Literal["template", "pivot", "newton_euler", "vertical"],
+        Field(
+            description="Where soles measure the vertical force only, how its shear is found. `template`: the course over the "
+            "contact that people have in common, with the whole body's moment; where it was never tried, `pivot`: through a "
+            "fixed point above the centre of mass. `newton_euler`: a share of what the whole body needs. `vertical`: none."
+        ),
+    ] = "template"
+    task: Annotated[
+        Literal["recognise", "walking", "running", "squat", "sit_to_stand", "landing"],
+        Field(description="What the subject does; `recognise`: told from the contacts of the feet."),
+    ] = "recognise"
     synchronization: Annotated[
         Literal["estimate", "hardware"],
         Field(

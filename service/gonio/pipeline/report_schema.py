@@ -12,8 +12,9 @@ from pydantic import Field
 
 from gonio.pipeline.report_base import Level, ReportModel, Series, Severity, Side
 from gonio.pipeline.report_gait import GaitReportSection
+from gonio.pipeline.report_kinetics import Kinetics
 
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 
 
 class Verdict(ReportModel):
@@ -161,7 +162,7 @@ class Provenance(ReportModel):
 class GaitReport(ReportModel):
     """A gait report."""
 
-    schema_version: Literal["1.1"] = SCHEMA_VERSION
+    schema_version: Literal["1.2"] = SCHEMA_VERSION
     created: datetime
     verdict: Verdict
     findings: list[ReportFinding]
@@ -173,6 +174,7 @@ class GaitReport(ReportModel):
     time_s: list[float]
     angles: list[Angle]
     gait: GaitReportSection
+    kinetics: Kinetics | None
     provenance: Provenance
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from gonio.errors import InputError
-from gonio.kernel.forces.contact import find_contacts, mark, phases
+from gonio.kernel.forces.contact import find_contacts, mark, phases, runs
 from gonio.kernel.forces.shear import (
     Levers,
     Load,
@@ -121,18 +121,23 @@ def estimate_forces(
 
 
 def with_plates(forces: GroundForces, plates: FootForces) -> GroundForces:
-    """Put what plates measured in the place of what was found: contact by contact, wherever a plate knows all of it."""
+    """Put what plates measured in the place of what was found: contact by contact, wherever a plate knows all of it.
+
+    A foot's method is "plates" if they measured all its contacts.
+    """
     wrench, cop, sd_n = forces.wrench.copy(), forces.cop_lab_m.copy(), forces.sd_n.copy()
     methods = list(forces.methods)
     for foot in range(len(FEET)):
         measured = np.isfinite(plates.wrench[:, foot]).all(axis=1) & (plates.wrench[:, foot, 1] > 0)
-        edges = np.flatnonzero(np.diff(np.r_[False, forces.contact[:, foot] | measured, False].astype(np.int8)))
-        for begin, end in edges.reshape(-1, 2):
-            if measured[begin:end].any() and np.isfinite(plates.wrench[begin:end, foot]).all():
-                wrench[begin:end, foot] = plates.wrench[begin:end, foot]
-                cop[begin:end, foot] = plates.cop_lab_m[begin:end, foot]
-                sd_n[begin:end, foot] = 0.0
-                methods[foot] = "plates"
+        touched = runs(forces.contact[:, foot] | measured)
+        known = [run for run in touched if measured[run[0] : run[1]].any()]
+        known = [run for run in known if np.isfinite(plates.wrench[run[0] : run[1], foot]).all()]
+        for begin, end in known:
+            wrench[begin:end, foot] = plates.wrench[begin:end, foot]
+            cop[begin:end, foot] = plates.cop_lab_m[begin:end, foot]
+            sd_n[begin:end, foot] = 0.0
+        if known and len(known) == len(touched):
+            methods[foot] = "plates"
     return replace(forces, wrench=wrench, cop_lab_m=cop, sd_n=sd_n, methods=(methods[0], methods[1]))
 
 
