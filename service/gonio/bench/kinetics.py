@@ -97,7 +97,8 @@ def read_trial(folder: Path) -> Trial:
     # r × F = M on the floor y = 0, as far as it is not the free moment.
     cop_lab_m = np.stack([moment[..., 2] / pressed, 0 * pressed, -moment[..., 0] / pressed], axis=-1)
     cop_foot_m = cop_on_soles(model, motion.q, cop_lab_m)
-    sample_s = np.arange(motion.times_s[0], motion.times_s[-1] + 1e-9, 1 / SOLES_HZ)
+    samples = round((motion.times_s[-1] - motion.times_s[0]) * SOLES_HZ) + 1
+    sample_s = motion.times_s[0] + np.arange(samples) / SOLES_HZ
     nearest = np.abs(sample_s[:, None] - motion.times_s).argmin(axis=1)  # 20 Hz are every third frame of 60
     return Trial(
         model=model,

@@ -12,7 +12,8 @@ GAP_S = 0.08
 """Shorter gaps are no steps."""
 
 CORE_BW, CORE_S, OUTSIDE_S = 0.06, 0.1, 0.06
-"""A contact has a core above this share of the body's weight for so long, and reaches at most so far beyond it."""
+"""A contact has a core above this share of the body's weight for so long, if it was not cut, and reaches at most so far beyond
+it."""
 
 
 class Contact(NamedTuple):
@@ -43,11 +44,15 @@ def find_contacts(vertical_n: Float[np.ndarray, "frame foot"], rate_hz: float, w
         force = vertical_n[:, foot]
         known = np.isfinite(force)
         for begin, end in _merged(runs(np.nan_to_num(force) > LEAST_N), known, GAP_S * rate_hz):
-            core = [run for run in runs(force[begin:end] > CORE_BW * weight_n) if run[1] - run[0] >= CORE_S * rate_hz]
+            core = [
+                (begin + first, begin + last)
+                for first, last in runs(force[begin:end] > CORE_BW * weight_n)
+                if last - first >= CORE_S * rate_hz or _is_cut(known, begin + first, begin + last)
+            ]
             if core:
                 outside = round(OUTSIDE_S * rate_hz)
-                first = max(begin, begin + core[0][0] - outside)
-                last = min(end, begin + core[-1][1] + outside)
+                first = max(begin, core[0][0] - outside)
+                last = min(end, core[-1][1] + outside)
                 opened = first > 0 and bool(known[first - 1])
                 closed = last < len(force) and bool(known[last])
                 found.append(Contact(foot, first, last, opened, closed))
@@ -90,6 +95,11 @@ def runs(condition: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
     """Give where a condition holds: beginnings and ends (not included)."""
     edges = np.flatnonzero(np.diff(np.r_[False, condition, False].astype(np.int8)))
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
+
+
+def _is_cut(known: Bool[np.ndarray, " frame"], begin: int, end: int) -> bool:
+    """Say whether what was seen of a core ends with the recording, or with what is known: it may have lasted on."""
+    return begin == 0 or end == len(known) or not known[begin - 1] or not known[end]
 
 
 def _merged(
