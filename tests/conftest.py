@@ -21,9 +21,31 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 @pytest.fixture(scope="session")
 def balancing() -> Path:
     """The four-camera balancing trial; skips where the recordings are not at hand."""
-    folder = SHARED_DATA / "pose2sim_balancing"
+    return _recording("pose2sim_balancing")
+
+
+@pytest.fixture(scope="session")
+def insole_iscas() -> Path:
+    """A stream of real insoles; skips where the recordings are not at hand."""
+    return _recording("insole_iscas")
+
+
+@pytest.fixture(scope="session")
+def opensim_gait2354() -> Path:
+    """OpenSim's walking example; skips where the recordings are not at hand."""
+    return _recording("opensim_gait2354")
+
+
+@pytest.fixture(scope="session")
+def vicon_pig() -> Path:
+    """C3D files of a marker laboratory; skips where the recordings are not at hand."""
+    return _recording("vicon_pig")
+
+
+def _recording(name: str) -> Path:
+    folder = SHARED_DATA / name
     if not folder.is_dir():
-        pytest.skip(f"the recordings are not at hand ({folder.name} beside the checkout, in shared/data)")
+        pytest.skip(f"the recordings are not at hand ({name} beside the checkout, in shared/data)")
     return folder
 
 

@@ -3,9 +3,12 @@
 import hashlib
 
 import httpx
+import numpy as np
 import pytest
 
 from gonio.errors import GonioError, InputError
+from gonio.formats.pressure_csv import write_pressure
+from gonio.records import FootPressure
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +156,24 @@ def test_the_role_comes_from_the_field_or_the_suffix(lab, session, capture, tmp_
     lab.client.delete_file(session, file["id"])
 
 
+def test_foot_pressure_is_checked_before_it_is_kept(lab, session, tmp_path):
+    force = 350 + 300 * np.sin(np.arange(50) / 4)
+    stream = FootPressure(
+        times_s=np.arange(50) / 20,
+        vertical_n=np.stack([force, 700 - force], axis=1),
+        cop_foot_m=np.full((50, 2, 2), 0.05),
+    )
+    write_pressure(tmp_path / "soles.csv", stream)
+    file = lab.client.upload(session, tmp_path / "soles.csv")
+    assert (file["role"], file["facts"]["rate_hz"]) == ("pressure", 20.0)
+    (tmp_path / "pulling.csv").write_text((tmp_path / "soles.csv").read_text().replace(",3", ",-3"))
+    with pytest.raises(InputError, match="are negative") as caught:
+        lab.client.upload(session, tmp_path / "pulling.csv")
+    assert (caught.value.code, caught.value.details["status"]) == ("pressure-negative", 422)
+    assert "pulling.csv" in caught.value.message
+    assert "pulling.csv" not in {known["name"] for known in lab.client.files(session)}
+
+
 @pytest.mark.parametrize(
     ("body", "expected"),
     [
@@ -164,7 +185,7 @@ def test_the_role_comes_from_the_field_or_the_suffix(lab, session, capture, tmp_
         (part(b'name="file"', b"no file name"), (422, "bad-file-name")),
         (part(b'name="role"', b"x" * 2000), (400, "malformed-body")),
         (part(b'name="file"; filename="a.mp4"', b"x", b"\r\n") + A_FILE, (400, "malformed-body")),
-        (part(b'name="role"', b"pressure", b"\r\n") + A_FILE, (422, "invalid-request")),
+        (part(b'name="role"', b"nonsense", b"\r\n") + A_FILE, (422, "invalid-request")),
         (part(b'name="colour"', b"red", b"\r\n") + A_FILE, (422, "invalid-request")),
         (part(b'name="camera"', b"a\nb", b"\r\n") + A_FILE, (422, "invalid-request")),
     ],

@@ -19,9 +19,11 @@ from gonio.kernel.geometry.cameras import project
 from gonio.pipeline import report as report_module
 from gonio.pipeline.body import choose_markerset, scale_to_subject
 from gonio.pipeline.describe import Analysis
+from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, Subject
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import key_lines, load_report, write_report
 from gonio.pipeline.report_schema import report_schema
@@ -77,6 +79,10 @@ def film(rig: Rig, xyz: np.ndarray, names: tuple[str, ...], noise_px: float) -> 
     )
 
 
+NOTHING = Measured(pressure=None, clock=None, plates=None)
+"""No soles, no plates."""
+
+
 @pytest.fixture
 def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     model = walker()
@@ -89,6 +95,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     smoothed = runner("smoothing", lambda _: smooth(points, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(smoothed, chosen.subject))
     motion = runner("kinematics", lambda _: fit_motion(body, smoothed, points, raw.rig, chosen))
+    cycles = runner("gait", lambda _: analyse_gait(motion, smoothed.timebase, NOTHING))
     pictures = []
     for name in rig.names:
         path = tmp_path / f"{name}.jpg"
@@ -122,6 +129,8 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         points=smoothed,
         body=body,
         motion=motion,
+        measured=NOTHING,
+        gait=cycles,
     )
 
 
@@ -148,7 +157,7 @@ def test_the_report_is_written_for_people_programs_and_opensim(
     document = json.loads(written.document.read_text())
     jsonschema.validate(document, report_schema())
     assert document["verdict"]["level"] == "good"
-    assert document["schema_version"] == "1.0"
+    assert document["schema_version"] == "1.1"
     assert [s["name"] for s in document["reconstruction"]["segments"]][:2] == ["right thigh", "left thigh"]
     assert load_report(written.document).model_dump(mode="json") == document
     assert len(key_lines(load_report(written.document))) == 6
@@ -171,7 +180,10 @@ def test_a_result_without_a_single_solved_frame_is_still_a_report(
     blind = replace(analysis.points, xyz_lab_m=np.full_like(analysis.points.xyz_lab_m, np.nan))
     motion = fit_motion(analysis.body, blind, analysis.keypoints.points, analysis.raw.rig, analysis.parameters)
     assert [f.code for f in motion.findings] == ["frames-unsolved"]
-    written = write_report(replace(analysis, points=blind, motion=motion.value), motion.findings, tmp_path)
+    cycles = analyse_gait(motion.value, blind.timebase, NOTHING)
+    assert [f.code for f in cycles.findings] == ["gait-no-cycle"]
+    blinded = replace(analysis, points=blind, motion=motion.value, gait=cycles.value)
+    written = write_report(blinded, motion.findings, tmp_path)
     document = json.loads(written.document.read_text())
     jsonschema.validate(document, report_schema())
     assert document["verdict"]["level"] == "poor"

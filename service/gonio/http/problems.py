@@ -64,6 +64,22 @@ KINDS: Mapping[str, Kind] = {
     "image-unreadable": Kind(422, "Picture unreadable", "The picture can't be decoded, or is smaller than 16 pixels."),
     "board-card-unreadable": Kind(422, "Board's card unreadable", "An entry of the card is missing, unknown or wrong."),
     "floor-points-unreadable": Kind(422, "Floor points unreadable", "The detail names the point and what is wrong."),
+    "pressure-card-unreadable": Kind(
+        422, "Pressure card unreadable", "An entry is missing, unknown, wrong or contradicted."
+    ),
+    "pressure-unreadable": Kind(422, "Pressure unreadable", "The file is no table with the columns that are needed."),
+    "pressure-clock": Kind(422, "Pressure's clock wrong", "Times are missing, go back, stand still or miss the video."),
+    "pressure-too-long": Kind(
+        422, "Pressure too long", "The table has more samples beside the video than gonio keeps."
+    ),
+    "pressure-one-foot": Kind(422, "One foot only", "The force on the body is known from both feet only."),
+    "pressure-negative": Kind(422, "Pressure negative", "More values are below zero than noise explains."),
+    "pressure-unit": Kind(422, "Unit of pressure wrong", "Both feet together carry what no person weighs."),
+    "pressure-cop": Kind(422, "Centre of pressure wrong", "It is missing, or lies off the sole."),
+    "capture-file-unreadable": Kind(
+        422, "C3D unreadable", "The file is no C3D, is cut short, or holds plates of unknown type."
+    ),
+    "plates-missing": Kind(422, "No force plates", "The file holds no force plates."),
     "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),

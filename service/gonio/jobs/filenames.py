@@ -12,6 +12,14 @@ MAX_BYTES = 255
 """The longest file name that the usual file systems take."""
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".webm", ".wmv")
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+PRESSURE_CARDS = ("pressure.toml", "pressure_card.toml")
+OTHERS: dict[str, Role] = {
+    ".osim": "body_model",
+    ".csv": "pressure",
+    ".c3d": "force_plates",
+    ".mot": "force_plates",
+    ".sto": "force_plates",
+}
 CALIBRATIONS = (".toml", ".xml", ".txt", ".json", ".yaml", ".yml", ".calib")
 
 
@@ -53,10 +61,12 @@ def guess_role(name: str, kind: str) -> Role:
             return "board"
     elif suffix in VIDEOS:
         return "video"
+    elif name.lower().endswith(PRESSURE_CARDS):
+        return "pressure_card"
     elif suffix in CALIBRATIONS:
         return "calibration"
-    elif suffix == ".osim":
-        return "body_model"
+    elif suffix in OTHERS:
+        return OTHERS[suffix]
     raise InputError(
         f"The name {name!r} doesn't tell what the file is.",
         hint=f"Send the form field `role`: one of {', '.join(ROLES[kind])}.",

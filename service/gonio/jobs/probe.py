@@ -44,11 +44,40 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
 
         card = read_markerset(path)
         return {"marker_set": card.name, "keypoints": list(card.keypoint_names)}
+    if role in ("pressure", "pressure_card", "force_plates"):
+        return _probe_forces(path, role)
     if role in ("board", "optics", "floor_points", "previous"):
         return _probe_calibration_input(path, role)
     from gonio.formats.calibration import read_calibration
 
     return {"cameras": list(read_calibration(path).names)}
+
+
+def _probe_forces(path: Path, role: Role) -> dict[str, Any]:
+    import numpy as np
+
+    from gonio.formats.force_plates import read_force_plates
+    from gonio.formats.pressure_card import read_pressure_card
+    from gonio.formats.pressure_csv import has_default_columns, read_pressure
+
+    if role == "pressure_card":
+        card = read_pressure_card(path)
+        return {"kind": card.kind, "time_column": card.time.column}
+    if role == "force_plates":
+        plates = read_force_plates(path)
+        return {"plates": plates.force_lab_n.shape[1], "samples": len(plates.times_s)}
+    if not has_default_columns(
+        path
+    ):  # only its card, another file, says what it holds: it is read when the analysis begins
+        return {"columns": "as its pressure card says"}
+    stream = read_pressure(path)
+    times_s = stream.pressure.times_s
+    return {
+        "samples": len(times_s),
+        "duration_s": round(float(times_s[-1] - times_s[0]), 3),
+        "rate_hz": round(float(1.0 / np.median(np.diff(times_s))), 3),
+        "lost": round(float(np.isnan(stream.pressure.vertical_n).mean()), 4),
+    }
 
 
 def _probe_calibration_input(path: Path, role: Role) -> dict[str, Any]:

@@ -14,27 +14,30 @@ from gonio.kernel.calibration.person import PersonRefinement
 from gonio.kernel.kinematics.clinical import ClinicalAngle, clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.kernel.synchronization.delays import Synchronization
 from gonio.pipeline.body import SubjectBody
+from gonio.pipeline.describe_gait import describe_gait
+from gonio.pipeline.describe_kinetics import describe_kinetics
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Parameters, parameters_document
+from gonio.pipeline.pressure import Measured
 from gonio.pipeline.reconstruction import Reconstruction as Reconstructed
 from gonio.pipeline.reconstruction import camera_bias_px, segment_lengths_m
+from gonio.pipeline.report_base import Level
 from gonio.pipeline.report_schema import (
     Angle,
     BodyFit,
     CameraReport,
     GaitReport,
     InputFile,
-    Level,
     Provenance,
     Reconstruction,
     ReportFinding,
     SegmentReport,
-    Series,
     Verdict,
 )
+from gonio.pipeline.rounding import number, series
 from gonio.pipeline.run import CaptureFile
-from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, LabPoints
+from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, GroundForces, LabPoints, Torques
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -57,6 +60,10 @@ class Analysis:
     points: LabPoints
     body: SubjectBody
     motion: BodyMotion
+    measured: Measured
+    forces: GroundForces | None
+    torques: Torques | None
+    gait: GaitAnalysis
 
 
 SENTENCES: dict[Level, str] = {
@@ -216,6 +223,8 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
         body=describe_body(analysis),
         time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
         angles=describe_angles(analysis),
+        gait=describe_gait(analysis.gait, analysis.parameters.subject),
+        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion),
         provenance=describe_provenance(analysis.files, analysis.parameters, models),
     )
 
@@ -238,16 +247,6 @@ def sha256_of(path: Path) -> str:
     """Give the sha256 of a file, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def number(value: float, digits: int = 2) -> float | None:
-    """Round a number for the report; NaN becomes null."""
-    return round(float(value), digits) if np.isfinite(value) else None
-
-
-def series(values: np.ndarray) -> Series:
-    """Round a curve for the report; NaN becomes null."""
-    return [number(v, 3) for v in values]
 
 
 def mean(values: np.ndarray) -> float:

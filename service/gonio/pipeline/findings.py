@@ -3,21 +3,10 @@
 ``docs/reference/findings.md`` is made from this table, and a test holds the two together.
 """
 
-from dataclasses import dataclass
-
+from gonio.pipeline.finding_kind import Kind
+from gonio.pipeline.findings_forces import FORCE_KINDS
+from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of finding; ``message`` may name ``{where}`` and ``{value}``."""
-
-    severity: Severity
-    stage: str
-    message: str
-    hint: str
-    unit: str = ""
-
 
 KINDS: dict[str, Kind] = {
     "board-layout": Kind(
@@ -359,13 +348,6 @@ KINDS: dict[str, Kind] = {
         "Tight clothes that contrast with the background, more light, and a new calibration help most.",
         "%",
     ),
-    "clip-short": Kind(
-        "info",
-        "triangulation",
-        "The recording lasts {value:.1f} s: too short for a mean over gait cycles.",
-        "Record at least three strides of each leg at a steady pace.",
-        "s",
-    ),
     "mass-unknown": Kind(
         "info",
         "scaling",
@@ -421,6 +403,35 @@ KINDS: dict[str, Kind] = {
         "Look at the pictures in the report: does the skeleton lie on the body?",
         "%",
     ),
+    "gait-no-cycle": Kind(
+        "info",
+        "gait",
+        "The recording holds no full gait cycle ({where}), so there are no averages over the cycle and no parameters of gait.",
+        "Film three strides or more in a straight line, each foot striking the ground at least twice in view of all cameras.",
+    ),
+    "gait-few-cycles": Kind(
+        "info",
+        "gait",
+        "The averages over the gait cycle rest on few cycles ({where}): too few to tell how someone usually walks.",
+        "Film more strides, or several passes: five cycles of each side make a steady average.",
+        "cycles",
+    ),
+    "gait-cycle-odd": Kind(
+        "info",
+        "gait",
+        "A cycle is unlike the others and does not count in the averages: {where}.",
+        "Look at it in the video: a turn, a stumble or a lost limb; if it is how the person walks, film more strides.",
+    ),
+    "gait-events-from-movement": Kind(
+        "info",
+        "gait",
+        "When the feet touch and leave the ground was read off their movement: known to ± {value:.0f} ms (one standard "
+        "deviation).",
+        "Record foot pressure or force plates: they show the contacts themselves.",
+        "ms",
+    ),
+    **SENSOR_KINDS,
+    **FORCE_KINDS,
 }
 
 

@@ -8,6 +8,8 @@ from gonio.pipeline.run import CaptureFile
 VIDEO_SUFFIXES = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 CALIBRATION_SUFFIXES = (".qca.txt",)
 MARKER_SET_SUFFIX = ".markerset.toml"
+PRESSURE_CARD_SUFFIX = "pressure.toml"
+PLATE_SUFFIXES = {".c3d", ".mot", ".sto"}
 
 
 def find_capture_files(folder: Path) -> list[CaptureFile]:
@@ -28,6 +30,12 @@ def find_capture_files(folder: Path) -> list[CaptureFile]:
             found.append(CaptureFile(path=path, name=path.name, role="calibration"))
         elif path.name.lower().endswith(MARKER_SET_SUFFIX):
             found.append(CaptureFile(path=path, name=path.name, role="marker_set"))
+        elif path.name.lower().endswith(PRESSURE_CARD_SUFFIX):
+            found.append(CaptureFile(path=path, name=path.name, role="pressure_card"))
+        elif path.suffix.lower() == ".csv":
+            found.append(CaptureFile(path=path, name=path.name, role="pressure"))
+        elif path.suffix.lower() in PLATE_SUFFIXES:
+            found.append(CaptureFile(path=path, name=path.name, role="force_plates"))
         elif path.suffix.lower() == ".osim":
             found.append(CaptureFile(path=path, name=path.name, role="body_model"))
         elif path.suffix.lower() in VIDEO_SUFFIXES:

@@ -8,9 +8,13 @@ from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.describe import Analysis
+from gonio.pipeline.dynamics import find_joint_torques, moment_curves
+from gonio.pipeline.forces import find_forces
+from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters
+from gonio.pipeline.pressure import measure_forces, read_sensors
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
 from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
@@ -22,7 +26,8 @@ def analyse(
     """Compute a gait report from the files of one session.
 
     Args:
-        capture_files: The videos and the calibration; the lab's own body model and its marker set, if it has them.
+        capture_files: The videos and the calibration; the table of foot pressure with its card, the force plates; the
+            lab's own body model and its marker set: each if there is one.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -37,6 +42,7 @@ def analyse(
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
     capture = runner("capture", lambda _: read_capture(capture_files, rig))
+    sensors = runner("sensors", lambda _: read_sensors(capture_files, capture.frame_count / capture.timebase.rate_hz))
     keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
     checked = runner("checks", lambda _: check_keypoints(keypoints.points, capture.rig, chosen.reconstruction))
     delays, synchronous = runner("synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction))
@@ -46,6 +52,11 @@ def analyse(
     points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
+    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
+    forces = runner("forces", lambda _: find_forces(motion, measured, chosen))
+    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen))
+    moments = moment_curves(motion, torques)
+    gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured, moments))
 
     analysis = Analysis(
         files=tuple(capture_files),
@@ -58,5 +69,9 @@ def analyse(
         points=points,
         body=body,
         motion=motion,
+        measured=measured,
+        forces=forces,
+        torques=torques,
+        gait=gait,
     )
     return runner("report", lambda _: Outcome(write_report(analysis, runner.findings, output_dir)))

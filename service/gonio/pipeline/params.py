@@ -95,6 +95,39 @@ class KinematicsParameters:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class ForceParameters:
+    """How the forces of the ground are found."""
+
+    method: Annotated[
+        Literal["template", "pivot", "newton_euler", "vertical"],
+        Field(
+            description="Where soles measure the vertical force only, how its shear is found. `template`: the course over the "
+            "contact that people have in common, with the whole body's moment; where it was never tried, `pivot`: through a "
+            "fixed point above the centre of mass. `newton_euler`: a share of what the whole body needs. `vertical`: none."
+        ),
+    ] = "template"
+    task: Annotated[
+        Literal["recognise", "walking", "running", "squat", "sit_to_stand", "landing"],
+        Field(description="What the subject does; `recognise`: told from the contacts of the feet."),
+    ] = "recognise"
+    synchronization: Annotated[
+        Literal["estimate", "hardware"],
+        Field(
+            description="Estimate how far the clock of the pressure soles runs ahead from the walk itself, or trust that it is "
+            "the video's (a common trigger). Force plates are always taken to run on the video's clock."
+        ),
+    ] = "estimate"
+    search_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=0.5,
+            description="How far the offset is searched each way: less than half a step, or steps are mistaken.",
+        ),
+    ] = 0.25
+
+
+@dataclass(frozen=True, config=_STRICT)
 class Parameters:
     """All that a request may choose for an analysis."""
 
@@ -102,6 +135,7 @@ class Parameters:
     keypoints: KeypointParameters = field(default_factory=KeypointParameters)
     reconstruction: ReconstructionParameters = field(default_factory=ReconstructionParameters)
     kinematics: KinematicsParameters = field(default_factory=KinematicsParameters)
+    forces: ForceParameters = field(default_factory=ForceParameters)
 
 
 @dataclass(frozen=True, config=_STRICT)

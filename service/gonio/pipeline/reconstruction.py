@@ -186,9 +186,6 @@ def judge(reconstruction: Reconstruction) -> tuple[Finding, ...]:
     if median_mm > 25:
         severity = "serious" if median_mm > 50 else None
         findings.append(finding("reprojection-large", value=median_mm, severity=severity))
-    duration_s = points.xyz_lab_m.shape[0] / points.timebase.rate_hz
-    if duration_s < 4:
-        findings.append(finding("clip-short", value=duration_s))
     return tuple(findings)
 
 

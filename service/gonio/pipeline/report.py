@@ -1,18 +1,15 @@
 """Stage ``report``: what was computed, written down for people (HTML), for programs (JSON) and for OpenSim (TRC, MOT)."""
 
-import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gonio.formats.mot import table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.describe import Analysis, describe
-from gonio.pipeline.figures import angle_figure
 from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.report_page import render_html
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
 from gonio.records import Finding, LabPoints
@@ -71,21 +68,6 @@ def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
             draw_skeleton(picture, place_px, points.keypoint_names, card.keypoints.segments)
         )
     return drawn
-
-
-def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
-    """Render the report as one self-contained page; ``pictures`` holds a JPEG a camera."""
-    environment = Environment(
-        loader=PackageLoader("gonio.pipeline", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    return environment.get_template("report.html.jinja").render(
-        report=report,
-        angle_svg=angle_figure(report.time_s, report.angles),
-        pictures={name: base64.b64encode(jpeg).decode() for name, jpeg in pictures.items()},
-    )
 
 
 def key_lines(report: GaitReport) -> list[str]:

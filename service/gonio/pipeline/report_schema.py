@@ -8,27 +8,23 @@ Units are in the names; unknown numbers are null, never 0.
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-SCHEMA_VERSION = "1.0"
+from gonio.pipeline.report_base import Level, ReportModel, Series, Severity, Side
+from gonio.pipeline.report_gait import GaitReportSection
+from gonio.pipeline.report_kinetics import Kinetics
 
-Level = Literal["good", "usable", "poor"]
-Severity = Literal["info", "warning", "serious"]
-Series = list[float | None]
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+SCHEMA_VERSION = "1.2"
 
 
-class Verdict(_Model):
+class Verdict(ReportModel):
     """How far the result can be trusted, in one sentence."""
 
     level: Level
     sentence: str
 
 
-class ReportFinding(_Model):
+class ReportFinding(ReportModel):
     """Something the reader has to know, with its remedy; the codes are listed in docs/reference/findings.md."""
 
     code: str
@@ -41,7 +37,7 @@ class ReportFinding(_Model):
     unit: str
 
 
-class CameraReport(_Model):
+class CameraReport(ReportModel):
     """One camera: its video, and how well what it saw agrees with the other cameras."""
 
     name: str
@@ -66,7 +62,7 @@ class CameraReport(_Model):
     rejected_fraction: Annotated[float, Field(description="Share of observations that contradicted the other cameras.")]
 
 
-class SegmentReport(_Model):
+class SegmentReport(ReportModel):
     """A body segment's length over the trial, after smoothing: bones don't change, so its scatter is error."""
 
     name: str
@@ -75,7 +71,7 @@ class SegmentReport(_Model):
     sd_raw_mm: Annotated[float | None, Field(description="The same before smoothing.")]
 
 
-class Reconstruction(_Model):
+class Reconstruction(ReportModel):
     """From image points to lab points."""
 
     method: str
@@ -100,7 +96,7 @@ class Reconstruction(_Model):
     heading: str = "The lab is turned about its vertical so that the subject heads towards +X."
 
 
-class BodyFit(_Model):
+class BodyFit(ReportModel):
     """The body model and how well it fits the points."""
 
     model: str
@@ -126,11 +122,11 @@ class BodyFit(_Model):
     ]
 
 
-class Angle(_Model):
+class Angle(ReportModel):
     """A joint angle over the trial."""
 
     joint: Literal["hip", "knee", "ankle"]
-    side: Literal["left", "right"]
+    side: Side
     name: str
     positive: Annotated[str, Field(description="What a positive angle means.")]
     values_deg: Series
@@ -145,7 +141,7 @@ class Angle(_Model):
     check_sd_deg: Annotated[float | None, Field(description="Standard deviation over time of that difference.")]
 
 
-class InputFile(_Model):
+class InputFile(ReportModel):
     """A file that the report was computed from."""
 
     name: str
@@ -154,7 +150,7 @@ class InputFile(_Model):
     size_bytes: int
 
 
-class Provenance(_Model):
+class Provenance(ReportModel):
     """All that is needed to compute the same report again."""
 
     inputs: list[InputFile]
@@ -163,10 +159,10 @@ class Provenance(_Model):
     models: Annotated[dict[str, str], Field(description="sha256 of each model file.")]
 
 
-class GaitReport(_Model):
+class GaitReport(ReportModel):
     """A gait report."""
 
-    schema_version: Literal["1.0"] = SCHEMA_VERSION
+    schema_version: Literal["1.2"] = SCHEMA_VERSION
     created: datetime
     verdict: Verdict
     findings: list[ReportFinding]
@@ -177,6 +173,8 @@ class GaitReport(_Model):
     body: BodyFit
     time_s: list[float]
     angles: list[Angle]
+    gait: GaitReportSection
+    kinetics: Kinetics | None
     provenance: Provenance
 
 

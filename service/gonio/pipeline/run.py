@@ -18,7 +18,9 @@ T = TypeVar("T")
 
 SessionKind = Literal["human_multicamera", "calibration"]
 
-TrialRole = Literal["video", "calibration", "body_model", "marker_set"]
+TrialRole = Literal["video", "calibration", "body_model", "marker_set", "pressure", "pressure_card", "force_plates"]
+"""``pressure`` is a table of foot pressure, ``pressure_card`` says what its columns mean; ``force_plates`` is C3D or MOT."""
+
 CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_points", "previous"]
 """``sweep``: all cameras film the board at the same time. ``lens``: one camera films it alone, close. ``floor``: it lies on
 the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points,
@@ -30,7 +32,8 @@ STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
         "calibration": 0.01,
         "capture": 0.01,
-        "keypoints": 0.83,
+        "sensors": 0.005,
+        "keypoints": 0.82,
         "checks": 0.005,
         "synchronization": 0.02,
         "tripods": 0.005,
@@ -39,6 +42,7 @@ STAGE_SHARES: Mapping[str, float] = MappingProxyType(
         "smoothing": 0.01,
         "scaling": 0.01,
         "kinematics": 0.03,
+        "pressure": 0.005,
         "forces": 0.005,
         "dynamics": 0.005,
         "gait": 0.01,

@@ -33,18 +33,44 @@ from gonio.records.calibration import (
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
+from gonio.records.force_plates import FootForces, ForcePlates
+from gonio.records.gait import (
+    CYCLE_POINTS,
+    CycleCurves,
+    EventTrain,
+    FootPaths,
+    GaitAnalysis,
+    GaitCycle,
+    GaitEvents,
+    Measure,
+    NormCondition,
+    NormCurve,
+    Norms,
+    TimeCurve,
+    UsualValues,
+)
+from gonio.records.ground_forces import (
+    ForceCoefficients,
+    ForceMethod,
+    GroundForces,
+    PhaseTemplate,
+    Task,
+    TaskForces,
+)
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
-from gonio.records.pressure import FootPressure, VirtualPressure
+from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
 from gonio.records.timebase import Timebase
+from gonio.records.torques import Torques
 from gonio.records.virtual_board import VirtualBoard
 from gonio.records.virtual_trial import BURST, DROPPED, HIDDEN, OUTSIDE, PULLED, SWAPPED, VirtualTrial
 from gonio.records.walk import FEET, FootEvents, Steps, Walk, WalkTruth
 
 __all__ = [
     "BURST",
+    "CYCLE_POINTS",
     "DROPPED",
     "FEET",
     "FILLED",
@@ -75,10 +101,21 @@ __all__ = [
     "Capture",
     "CoordinatePrior",
     "Coordinates",
+    "CycleCurves",
+    "EventTrain",
     "Finding",
     "FootEvents",
+    "FootForces",
+    "FootPaths",
     "FootPressure",
+    "ForceCoefficients",
+    "ForceMethod",
+    "ForcePlates",
     "Functions",
+    "GaitAnalysis",
+    "GaitCycle",
+    "GaitEvents",
+    "GroundForces",
     "ImagePoints",
     "Intrinsics",
     "JointTree",
@@ -90,14 +127,25 @@ __all__ = [
     "Level",
     "MarkerSet",
     "Markers",
+    "Measure",
     "Measurement",
     "Motion",
+    "NormCondition",
+    "NormCurve",
+    "Norms",
+    "PhaseTemplate",
+    "PressureStream",
     "Rig",
     "RigCheck",
     "Severity",
     "Steps",
+    "Task",
+    "TaskForces",
     "Tasks",
+    "TimeCurve",
     "Timebase",
+    "Torques",
+    "UsualValues",
     "Verdict",
     "View",
     "VirtualBoard",

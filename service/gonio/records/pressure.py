@@ -1,7 +1,7 @@
 """What pressure soles measured."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gonio.errors import InputError
 from gonio.records.record import record
@@ -31,6 +31,24 @@ class FootPressure:
             raise InputError(
                 "The time stamps of the pressure stream do not ascend.", hint="Sort the samples and drop doubles."
             )
+
+
+@record
+class PressureStream:
+    """A pressure stream as its file gives it, still on its own clock and with its own gain.
+
+    ``pressure`` is in newtons where ``in_newtons``; else its force is in the sensors' own counts, proportional to force as
+    far as its maker says so. ``saturated`` marks what a foot's sensors could not show in full. Where the recording stopped
+    for a while there is a lost sample, so that nothing is interpolated across. ``doubled`` samples had the time stamp of
+    the one before and were left out; ``negative`` is the share of values that were below zero, by noise, and became zero.
+    """
+
+    source: str
+    pressure: FootPressure
+    saturated: Bool[np.ndarray, "sample foot"]
+    in_newtons: bool
+    doubled: int
+    negative: float
 
 
 @record

@@ -1,0 +1,105 @@
+"""Stage ``dynamics``: joint torques and powers with their error bands, judged by what the pelvis has left over."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from gonio.formats.force_coefficients import builtin_force_coefficients
+from gonio.kernel.dynamics.opensim import SmoothMotion
+from gonio.kernel.dynamics.recursive import Wrench
+from gonio.kernel.dynamics.zero_lag import differentiate
+from gonio.kernel.forces.torque import (
+    SoleDoubt,
+    doubtful_soles,
+    find_torques,
+    foot_wrenches,
+    sample_errors,
+)
+from gonio.kernel.kinematics.clinical import ClinicalAngle, find_clinical_angles
+from gonio.pipeline.findings import finding
+from gonio.pipeline.forces import CUTOFF_HZ, SLOW_HZ, complete, force_choice, smooth_motion
+from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.params import Parameters
+from gonio.pipeline.pressure import Measured
+from gonio.pipeline.run import Outcome
+from gonio.records import GroundForces, TimeCurve, Torques
+
+LARGEST_RESIDUAL = 0.10
+"""Root mean square of the force that the movement needs beyond what the feet give, by the body's weight: errors of 15 mm in
+keypoints make 0.05 to 0.08."""
+
+MOMENTS = {
+    "hip_flexion": ("hip_extension_moment", "hip_power", -1.0),
+    "knee_flexion": ("knee_extension_moment", "knee_power", -1.0),
+    "ankle_dorsiflexion": ("ankle_plantarflexion_moment", "ankle_power", -1.0),
+}
+"""What the report calls the moment and the power about an angle; its moments extend, the angles flex."""
+
+
+def find_joint_torques(
+    found: BodyMotion, measured: Measured, forces: GroundForces | None, parameters: Parameters
+) -> Outcome[Torques | None]:
+    """Compute torques with bands; None without forces.
+
+    Args:
+        found: The motion, with its covariance.
+        measured: The soles, whose errors the bands contain.
+        forces: Under the feet.
+        parameters: The method and the task.
+    """
+    if forces is None:
+        return Outcome(None)
+    model, q, motion = found.model, complete(found), smooth_motion(found, forces.task)
+    coefficients, wrenches_of = builtin_force_coefficients(), _fixed(forces)
+    if measured.pressure is not None and forces.methods != ("plates", "plates"):
+        clock_s = measured.clock.sd_s if measured.clock is not None else SoleDoubt.clock_s
+        doubt = SoleDoubt(clock_s=clock_s if np.isfinite(clock_s) else SoleDoubt.clock_s)
+        choice = force_choice(parameters.forces, forces.task)
+        wrenches_of = doubtful_soles(measured.pressure, model, coefficients, choice, doubt)
+    smoother = partial(differentiate, cutoff_hz=CUTOFF_HZ.get(forces.task, SLOW_HZ))
+    rest, covariance = None, found.motion.covariance
+    if covariance is not None:  # without it nobody knows how wide a band is
+        rest = sample_errors(model, found.motion.times_s, q, covariance, smoother, wrenches_of)
+    torques = find_torques(model, motion, forces, coefficients, rest)
+    weight_n = model.mass_kg * float(np.linalg.norm(model.gravity_m_s2))
+    known = np.isfinite(torques.residual).all(axis=1)
+    residual = float(np.sqrt((torques.residual[known, :3] ** 2).sum(axis=1).mean())) / weight_n if known.any() else 0.0
+    high = (finding("residuals-high", value=100 * residual),) if residual > LARGEST_RESIDUAL else ()
+    return Outcome(torques, high)
+
+
+def moment_curves(found: BodyMotion, torques: Torques | None) -> tuple[TimeCurve, ...]:
+    """Give the report's moments (Nm/kg) and powers (W/kg); 1.96 of their standard deviations are the 95 % band."""
+    if torques is None:
+        return ()
+    return tuple(curve for angle in find_clinical_angles(found.model) for curve in _curves(angle, found, torques))
+
+
+def _curves(angle: ClinicalAngle, found: BodyMotion, torques: Torques) -> tuple[TimeCurve, TimeCurve]:
+    moment, power, turn = MOMENTS[angle.name]
+    index, mass_kg = torques.index(angle.coordinate), found.model.mass_kg
+    sd = torques.band[:, index] / 1.96 / mass_kg
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rate = np.abs(torques.power_w[:, index] / torques.values[:, index])
+    return (
+        TimeCurve(
+            quantity=moment,
+            side=angle.side,
+            unit="Nm/kg",
+            values=turn * angle.sign * torques.values[:, index] / mass_kg,
+            sd=sd,
+        ),
+        TimeCurve(
+            quantity=power,
+            side=angle.side,
+            unit="W/kg",
+            values=torques.power_w[:, index] / mass_kg,
+            sd=sd * rate,
+        ),
+    )
+
+
+def _fixed(forces: GroundForces) -> Callable[[SmoothMotion, np.random.Generator], tuple[Wrench, ...]]:
+    """Take measured wrenches as they are, whatever the movement."""
+    return lambda _motion, _rng: foot_wrenches(forces)

@@ -1,0 +1,230 @@
+"""Stages ``sensors`` and ``pressure``: what soles and plates measured, read early, and put on the video's clock and feet."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from gonio.formats.force_plates import read_force_plates
+from gonio.formats.pressure_card import read_pressure_card
+from gonio.formats.pressure_csv import read_pressure
+from gonio.kernel.body.forward import marker_positions
+from gonio.kernel.dynamics.recursive import solve_dynamics
+from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
+from gonio.kernel.forces.plates import assign_plates
+from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock
+from gonio.kernel.virtual_lab.feet import mark_soles
+from gonio.pipeline.body import only_file
+from gonio.pipeline.findings import finding
+from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.params import Parameters
+from gonio.pipeline.run import CaptureFile, Outcome
+from gonio.records import FEET, Finding, FootForces, FootPressure, ForcePlates, PressureStream, record
+
+MARGIN_S = 1.0
+"""So much of the stream is kept before and after the video: its clock may be that far off."""
+
+CUTOFF_HZ = 6.0
+"""Of the movement whose accelerations are compared with forces: walking."""
+
+DOUBTFUL_SD_S = 0.012
+"""An offset that is less certain costs more torque than the missing shear does [reference: 10 ms cost 1 Nm, 25 ms 4 Nm]."""
+
+LATE_S = 0.020
+"""A hardware trigger that the walk contradicts by so much, and by three standard deviations, is named."""
+
+GAIN_RANGE = (0.85, 1.15)
+NOT_ZERO_SHARE = 0.03
+LOW_RATE_HZ = 15.0
+GRAVITY_M_S2 = 9.80665
+
+
+@record
+class Sensors:
+    """What the session's soles and plates hold, None where there are none."""
+
+    stream: PressureStream | None
+    plates: ForcePlates | None
+
+
+@record
+class Measured:
+    """What soles and plates measured, on the video's clock.
+
+    ``pressure`` is in newtons, lost samples NaN, with the soles' own gain; None where there is none that can be used.
+    ``clock`` says how it was synchronized, None where it was not looked for. ``plates`` gives each foot what plates measured
+    of it, at the motion's frames.
+    """
+
+    pressure: FootPressure | None
+    clock: PressureClock | None
+    plates: FootForces | None
+
+
+def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sensors]:
+    """Read the pressure stream and the force plates of a session.
+
+    Args:
+        files: The session's files.
+        duration_s: Of the video.
+
+    Raises:
+        InputError: two files of one role, or what the formats' readers say of a wrong one.
+    """
+    findings: list[Finding] = []
+    table, card, plate_file = (only_file(files, role) for role in ("pressure", "pressure_card", "force_plates"))
+    names = {file.path: file.name for file in files}
+    stream = None
+    if table is not None:
+        declared = read_pressure_card(card) if card is not None else None
+        stream = read_pressure(table, declared, (-MARGIN_S, duration_s + MARGIN_S), names[table])
+        if stream.doubled:
+            findings.append(finding("pressure-samples-doubled", value=stream.doubled))
+    plates = read_force_plates(plate_file, names[plate_file]) if plate_file is not None else None
+    if stream is not None and plates is not None:
+        findings.append(finding("plates-over-soles"))
+    return Outcome(Sensors(stream=stream, plates=plates), tuple(findings))
+
+
+def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters) -> Outcome[Measured]:
+    """Put soles and plates on the video's clock and to the feet, and judge them."""
+    nothing = Measured(pressure=None, clock=None, plates=None)
+    if sensors.stream is None and sensors.plates is None:
+        return Outcome(nothing)
+    course = body_course(motion)
+    findings: list[Finding] = []
+    plates = None
+    if sensors.plates is not None and course is not None:
+        plates = assign_plates(sensors.plates, course.times_s, course.heel_lab_m, course.toe_lab_m)
+        findings += judge_plates(plates)
+    if sensors.stream is None:
+        return Outcome(replace(nothing, plates=plates), tuple(findings))
+    if course is None:
+        findings.append(finding("pressure-not-synchronized", where="the movement in the video is not known"))
+        return Outcome(replace(nothing, plates=plates), tuple(findings))
+    stream = in_newtons(sensors.stream, course.weight_n)
+    clock = find_clock(stream.pressure, course, parameters.forces.search_s)
+    offset_s, said = _judge_clock(clock, parameters)
+    findings += said
+    if np.isnan(offset_s):
+        return Outcome(Measured(pressure=None, clock=clock, plates=plates), tuple(findings))
+    pressure = replace(stream.pressure, times_s=stream.pressure.times_s - offset_s)
+    findings += judge_pressure(sensors.stream, pressure, course, known_mass=parameters.subject.mass_kg is not None)
+    return Outcome(Measured(pressure=pressure, clock=clock, plates=plates), tuple(findings))
+
+
+def body_course(motion: BodyMotion) -> BodyCourse | None:
+    """Give what synchronization needs of the movement; None where too little of it is known, or the model has no feet.
+
+    Coordinates that no keypoint tells of rest at their defaults: what they move weighs little.
+    """
+    model, found = motion.model, motion.motion
+    if not {f"{part}_{side[0]}" for part in ("calcn", "toes") for side in FEET} <= set(model.bodies.names):
+        return None
+    q = found.values.copy()
+    unknown = np.isnan(q).all(axis=0)
+    q[:, unknown] = model.coordinates.default[unknown]
+    if np.isfinite(q).all(axis=1).sum() < FEWEST_FRAMES:
+        return None
+    smooth = differentiate(found.times_s, q, CUTOFF_HZ)
+    whole = solve_dynamics(model, smooth.q, smooth.velocity, smooth.acceleration)
+    places_m = marker_positions(mark_soles(model), smooth.q)
+    return BodyCourse(
+        times_s=smooth.times_s,
+        need_n=whole.net_force_n[:, 1],
+        com_lab_m=whole.com_lab_m,
+        heel_lab_m=places_m[:, [0, 4]],
+        toe_lab_m=places_m[:, [1, 5]],
+        weight_n=model.mass_kg * GRAVITY_M_S2,
+    )
+
+
+def in_newtons(stream: PressureStream, weight_n: float) -> PressureStream:
+    """Scale a stream of counts so that both feet carry the body's weight in the mean; one in newtons stays."""
+    if stream.in_newtons:
+        return stream
+    both = stream.pressure.vertical_n.sum(axis=1)
+    scaled = stream.pressure.vertical_n * (weight_n / float(np.nanmean(both)))
+    return replace(stream, pressure=replace(stream.pressure, vertical_n=scaled), in_newtons=True)
+
+
+def _judge_clock(clock: PressureClock, parameters: Parameters) -> tuple[float, tuple[Finding, ...]]:
+    """Give the offset that is taken out, NaN where the stream is not used, and what is to be said of it."""
+    if clock.swapped:
+        return np.nan, (finding("pressure-feet-swapped"),)
+    witnesses = f"±{1e3 * clock.sd_s:.0f} ms, from {clock.events} contacts"
+    if parameters.forces.synchronization == "hardware":
+        late = not clock.refused and abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
+        return 0.0, (finding("pressure-hardware-late", value=1e3 * clock.offset_s),) if late else ()
+    if clock.refused:
+        return np.nan, (finding("pressure-not-synchronized", where=clock.refused),)
+    said = [finding("pressure-synchronized", where=witnesses, value=1e3 * clock.offset_s)]
+    if clock.sd_s > DOUBTFUL_SD_S:
+        where = (
+            f"force says {1e3 * clock.force_offset_s:+.0f} ms, contact {1e3 * clock.contact_offset_s:+.0f} ms"
+            if np.isfinite([clock.force_offset_s, clock.contact_offset_s]).all()
+            else "only one kind of evidence was there"
+        )
+        said.append(finding("pressure-clock-doubtful", where=where, value=1e3 * clock.sd_s))
+    return clock.offset_s, tuple(said)
+
+
+def judge_pressure(
+    stream: PressureStream, pressure: FootPressure, course: BodyCourse, *, known_mass: bool
+) -> tuple[Finding, ...]:
+    """Find what the reader has to know about the soles' values; ``pressure`` is on the video's clock, in newtons."""
+    findings: list[Finding] = []
+    times_s, shown = pressure.times_s, pressure.vertical_n
+    unknown = 100 * _unknown_share(pressure, course.times_s)
+    if unknown > 1.0:
+        findings.append(finding("pressure-gaps", value=unknown, severity="serious" if unknown > 50 else None))
+    period_s = float(np.median(np.diff(times_s)))
+    if 1.0 / period_s < LOW_RATE_HZ:
+        findings.append(finding("pressure-rate-low", where=f"±{500 * period_s:.0f} ms", value=1.0 / period_s))
+    if not stream.in_newtons:
+        findings.append(finding("pressure-uncalibrated"))
+    for foot, side in enumerate(FEET):
+        loaded = np.nan_to_num(shown[:, foot]) > 0.1 * course.weight_n
+        saturated = 100 * float(stream.saturated[loaded, foot].mean()) if loaded.any() else 0.0
+        if saturated > 0:
+            findings.append(finding("pressure-saturated", where=side, value=saturated))
+        rest_n = _in_the_air_n(pressure, course, foot)
+        if rest_n > NOT_ZERO_SHARE * course.weight_n:
+            findings.append(finding("pressure-not-zero", where=side, value=rest_n))
+    during = (times_s >= course.times_s[0]) & (times_s <= course.times_s[-1]) & np.isfinite(shown).all(axis=1)
+    if stream.in_newtons and known_mass and during.sum() > 5:
+        gain = float(shown[during].sum(axis=1).mean()) / course.weight_n
+        if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
+            severe = "serious" if not 0.6 <= gain <= 1.6 else None
+            findings.append(finding("pressure-gain", value=100 * gain, severity=severe))
+    return tuple(findings)
+
+
+def judge_plates(plates: FootForces) -> tuple[Finding, ...]:
+    """Find what the reader has to know about the plates."""
+    if not (np.nan_to_num(plates.wrench[..., 1]) > 0).any():
+        return (finding("plates-not-used"),)
+    shared_s = float(plates.shared.sum() * np.median(np.diff(plates.times_s)))
+    return (finding("plates-shared", value=shared_s),) if shared_s > 0 else ()
+
+
+def _unknown_share(pressure: FootPressure, times_s: Float[np.ndarray, " frame"]) -> float:
+    """Give the share of the frames that lie between no two known samples."""
+    after = np.searchsorted(pressure.times_s, times_s)
+    inside = (after > 0) & (after < len(pressure.times_s))
+    known = np.asarray(np.isfinite(pressure.vertical_n).all(axis=1))
+    after = np.clip(after, 1, len(known) - 1)
+    return 1.0 - float((inside & known[after] & known[after - 1]).mean())
+
+
+def _in_the_air_n(pressure: FootPressure, course: BodyCourse, foot: int) -> float:
+    """Give what a sole shows in the median while its foot swings forwards, faster than twice the body; 0 if it never does."""
+    heel_m_s = np.gradient(course.heel_lab_m[:, foot], course.times_s, axis=0)
+    body_m_s = np.gradient(course.com_lab_m, course.times_s, axis=0)
+    fast = np.linalg.norm(heel_m_s[:, [0, 2]], axis=1) > np.maximum(
+        2 * np.linalg.norm(body_m_s[:, [0, 2]], axis=1), 1.0
+    )
+    swings = np.interp(pressure.times_s, course.times_s, fast.astype(float), left=0.0, right=0.0) == 1.0
+    shown = pressure.vertical_n[swings & np.isfinite(pressure.vertical_n[:, foot]), foot]
+    return float(np.median(shown)) if shown.size >= 3 else 0.0

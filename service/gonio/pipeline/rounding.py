@@ -1,0 +1,15 @@
+"""Numbers as the report has them: rounded, and null where they are not known."""
+
+import numpy as np
+
+from gonio.pipeline.report_base import Series
+
+
+def number(value: float, digits: int = 2) -> float | None:
+    """Round a number for the report; NaN becomes null."""
+    return round(float(value), digits) if np.isfinite(value) else None
+
+
+def series(values: np.ndarray) -> Series:
+    """Round a curve for the report; NaN becomes null."""
+    return [number(v, 3) for v in values]
