@@ -2,11 +2,13 @@
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gonio.formats.osim import read_osim
+from gonio.formats.record_file import read_record, write_record
 from gonio.kernel.virtual_lab import truth_at, walk
 from gonio.pipeline.describe_gait import describe_gait
 from gonio.pipeline.figures import cycle_figure
@@ -93,6 +95,13 @@ def test_a_walk_becomes_a_section_of_the_report(man: BodyModel, truth: WalkTruth
     svg = cycle_figure(section)
     assert svg.startswith("<svg role=")
     assert cycle_figure(section.model_copy(update={"curves": []})) == ""
+
+
+def test_the_stage_can_be_kept_and_taken_up_again(man: BodyModel, truth: WalkTruth, tmp_path: Path) -> None:
+    gait, _ = _analyse(_found(man, truth))
+    write_record(tmp_path / "gait.npz", gait)
+    again = read_record(tmp_path / "gait.npz")
+    assert describe_gait(again, Subject()) == describe_gait(gait, Subject())
 
 
 def test_children_are_compared_with_children_alone(man: BodyModel, truth: WalkTruth) -> None:
