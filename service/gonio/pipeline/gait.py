@@ -9,7 +9,7 @@ from gonio.kernel.gait.cycles import cut_cycles, leave_out_odd, normalise
 from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
 from gonio.kernel.gait.norms import GRAVITY_M_S2
 from gonio.kernel.gait.parameters import measure_gait
-from gonio.kernel.gait.paths import foot_paths
+from gonio.kernel.gait.paths import bridge_gaps, foot_paths
 from gonio.kernel.gait.progression import Bout, find_bouts
 from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.pipeline.findings import finding
@@ -61,6 +61,7 @@ def analyse_gait(
     if paths is None:
         nothing = _nothing_found(curves, timebase, _leg_length_m(model))
         return Outcome(nothing, (finding("gait-no-cycle", where="the body model has no heels and toes"),))
+    paths = bridge_gaps(paths)
     bouts = find_bouts(paths)
     events = find_events(paths, bouts, measured, model.mass_kg)
     cycles = cut_cycles(events, paths, bouts)

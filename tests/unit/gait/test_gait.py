@@ -10,7 +10,7 @@ from gonio.formats.osim import read_osim
 from gonio.kernel.gait.cycles import average, cut_cycles, leave_out_odd, normalise
 from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
 from gonio.kernel.gait.parameters import measure_gait, symmetry_index_percent
-from gonio.kernel.gait.paths import foot_paths
+from gonio.kernel.gait.paths import bridge_gaps, foot_paths
 from gonio.kernel.gait.phases import phase_bounds
 from gonio.kernel.gait.progression import find_bouts
 from gonio.kernel.virtual_lab import truth_at, walk
@@ -191,6 +191,18 @@ def test_turning_round_is_cut_out(trial: tuple[Walk, WalkTruth, FootPaths]) -> N
     assert bouts[0].forward_lab @ bouts[1].forward_lab < -0.95
     cycles = cut_cycles(events_from_movement(turning, bouts), turning, bouts)
     assert all(c.end_frame < half or c.start_frame > half for c in cycles)
+
+
+def test_a_lost_moment_does_not_cut_the_walk(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:
+    _, _, paths = trial
+    heel_m = paths.heel_lab_m.copy()
+    heel_m[100:104, 0] = np.nan  # 67 ms
+    heel_m[200:215, 1] = np.nan  # 250 ms
+    bridged = bridge_gaps(replace(paths, heel_lab_m=heel_m))
+    assert np.flatnonzero(np.isnan(bridged.heel_lab_m).any(axis=(1, 2))).tolist() == list(range(200, 215))
+    # A heel that speeds up by 30 m/s² is 30 (5/60)² / 8 = 26 mm off the line across five frames.
+    assert_allclose(bridged.heel_lab_m[100:104, 0], paths.heel_lab_m[100:104, 0], atol=0.026)
+    assert len(find_bouts(bridged)) == 2
 
 
 def test_standing_has_no_events() -> None:
