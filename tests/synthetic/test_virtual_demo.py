@@ -39,7 +39,7 @@ def test_the_report_is_near_the_truth(tmp_path: Path) -> None:
 
 
 def _events_are_within_a_frame(trial: VirtualTrial, report: GaitReport) -> None:
-    """Frames of 17 ms."""
+    """A frame is 17 ms."""
     rate_hz = trial.timebase.rate_hz
     assert len(report.gait.events) >= 8
     for event in report.gait.events:

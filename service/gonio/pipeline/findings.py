@@ -427,7 +427,7 @@ KINDS: dict[str, Kind] = {
         "gait",
         "When the feet touch and leave the ground was read off their movement: known to ± {value:.0f} ms (one standard "
         "deviation).",
-        "Record foot pressure or force plates: they show the contacts themselves.",
+        "Force plates, or pressure soles of 50 samples a second or more, show the contacts themselves.",
         "ms",
     ),
     **SENSOR_KINDS,

@@ -1,25 +1,29 @@
-"""Stage ``report``: what was computed, written down for people (HTML), for programs (JSON) and for OpenSim (TRC, MOT)."""
+"""Stage ``report``: what was computed, written down for people (HTML) and for programs (JSON, CSV, C3D, TRC, MOT)."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from gonio.formats.c3d import Event, Side
+from gonio.formats.c3d_writer import write_c3d
+from gonio.formats.curve_tables import write_cycle_table, write_time_table
 from gonio.formats.mot import table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.describe import Analysis, describe
+from gonio.pipeline.gait import angle_curves
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.report_page import render_html
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
-from gonio.records import Finding, LabPoints
+from gonio.records import Finding, GaitAnalysis, LabPoints
 from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
 from gonio.vision.weights import default_cache_dir, ensure_weights
 
 
 def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
-    """Write ``report.json``, ``report.html``, and for OpenSim ``markers.trc``, ``motion.mot`` and ``model.osim``."""
+    """Write ``report.json`` and ``report.html``, and the files for other programs."""
     cache_dir = default_cache_dir()
     weights = {name: ensure_weights(load_card(name), cache_dir, offline=True) for name in analysis.keypoints.networks}
     report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
@@ -29,23 +33,51 @@ def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Pa
     return ReportFiles(
         document=document,
         page=page,
-        others=write_opensim_files(analysis.points, analysis.motion, analysis.body.file, output_dir),
+        others=(
+            *write_opensim_files(analysis.points, analysis.motion, analysis.body.file, output_dir),
+            *write_laboratory_files(analysis.points, analysis.motion, analysis.gait, output_dir),
+        ),
     )
 
 
 def write_opensim_files(points: LabPoints, found: BodyMotion, template: Path, output_dir: Path) -> tuple[Path, ...]:
     """Write the points (``markers.trc``), the coordinates (``motion.mot``) and the subject's model (``model.osim``)."""
     trc, mot, osim = (output_dir / name for name in ("markers.trc", "motion.mot", "model.osim"))
-    trajectories = Trajectories(
+    write_trc(trc, _trajectories(points))
+    write_mot(mot, table_of_motion(found.motion))
+    write_osim(osim, found.model, template)
+    return trc, mot, osim
+
+
+def write_laboratory_files(
+    points: LabPoints, found: BodyMotion, gait: GaitAnalysis, output_dir: Path
+) -> tuple[Path, ...]:
+    """Write points, angles and events (``trial.c3d``), angles over time (``angles.csv``), and all cycles (``cycles.csv``)."""
+    c3d, angles, cycles = (output_dir / name for name in ("trial.c3d", "angles.csv", "cycles.csv"))
+    curves = angle_curves(found.motion, found.model)
+    write_c3d(c3d, _trajectories(points), {f"{c.side}_{c.quantity}": c.values for c in curves}, _events(gait))
+    write_time_table(angles, found.motion.times_s, curves)
+    write_cycle_table(cycles, gait)
+    return c3d, angles, cycles
+
+
+def _trajectories(points: LabPoints) -> Trajectories:
+    return Trajectories(
         names=points.keypoint_names,
         times_s=points.timebase.times_s(len(points.xyz_lab_m)),
         xyz_m=points.xyz_lab_m,
         rate_hz=points.timebase.rate_hz,
     )
-    write_trc(trc, trajectories)
-    write_mot(mot, table_of_motion(found.motion))
-    write_osim(osim, found.model, template)
-    return trc, mot, osim
+
+
+def _events(gait: GaitAnalysis) -> list[Event]:
+    """List the events with the names that C3D files give them."""
+    found: list[Event] = []
+    sides: tuple[Side, Side] = ("right", "left")
+    for label, trains in (("Foot Strike", gait.events.strikes), ("Foot Off", gait.events.lifts)):
+        for side, train in zip(sides, trains, strict=True):
+            found += [Event(label, side, gait.timebase.start_s + f / gait.timebase.rate_hz) for f in train.frames]
+    return sorted(found, key=lambda event: event.time_s)
 
 
 def load_report(document: Path) -> GaitReport:

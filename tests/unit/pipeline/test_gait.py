@@ -2,11 +2,13 @@
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gonio.formats.osim import read_osim
+from gonio.formats.record_file import read_record, write_record
 from gonio.kernel.virtual_lab import truth_at, walk
 from gonio.pipeline.describe_gait import describe_gait
 from gonio.pipeline.figures import cycle_figure
@@ -15,7 +17,17 @@ from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Subject
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.report_page import key_facts
-from gonio.records import BodyModel, Finding, FootForces, GaitAnalysis, Motion, Timebase, TimeCurve, WalkTruth
+from gonio.records import (
+    BodyModel,
+    Finding,
+    FootForces,
+    FootPressure,
+    GaitAnalysis,
+    Motion,
+    Timebase,
+    TimeCurve,
+    WalkTruth,
+)
 from gonio.resources import models_dir
 
 RATE_HZ = 60.0
@@ -95,6 +107,13 @@ def test_a_walk_becomes_a_section_of_the_report(man: BodyModel, truth: WalkTruth
     assert cycle_figure(section.model_copy(update={"curves": []})) == ""
 
 
+def test_the_stage_can_be_kept_and_taken_up_again(man: BodyModel, truth: WalkTruth, tmp_path: Path) -> None:
+    gait, _ = _analyse(_found(man, truth))
+    write_record(tmp_path / "gait.npz", gait)
+    again = read_record(tmp_path / "gait.npz")
+    assert describe_gait(again, Subject()) == describe_gait(gait, Subject())
+
+
 def test_children_are_compared_with_children_alone(man: BodyModel, truth: WalkTruth) -> None:
     gait, _ = _analyse(_found(man, truth))
     section = describe_gait(gait, Subject(stature_m=1.2, sex="female"))
@@ -114,6 +133,24 @@ def test_forces_show_the_events_where_they_are(man: BodyModel, truth: WalkTruth)
     assert "gait-events-from-movement" in {f.code for f in findings}
     section = describe_gait(gait, Subject())
     assert re.search("force.*Zeni", section.event_method)
+
+
+@pytest.mark.parametrize(("rate_hz", "used"), [(100.0, True), (20.0, False)])
+def test_soles_show_the_events_if_they_are_quick_enough(
+    man: BodyModel, truth: WalkTruth, rate_hz: float, used: bool
+) -> None:
+    times_s = np.arange(0.013, 5.0, 1.0 / rate_hz)
+    vertical_n = np.stack([np.interp(times_s, truth.times_s, truth.wrench[:, foot, 1]) for foot in (0, 1)], axis=1)
+    soles = FootPressure(times_s=times_s, vertical_n=vertical_n, cop_foot_m=np.full((len(times_s), 2, 2), np.nan))
+    gait, _ = _analyse(_found(man, truth), Measured(pressure=soles, clock=None, plates=None))
+    assert gait.events.strikes[0].from_force.any() == used
+    errors = [
+        np.min(np.abs(truth.events[foot].strike_frames - frame))
+        for foot in (0, 1)
+        for frame in gait.events.strikes[foot].frames
+    ]
+    # 5 % of the weight is passed up to 25 ms after a strike of this smooth load: 1.5 frames.
+    assert max(errors) < (1.5 if used else 1.0)
 
 
 def test_a_clip_without_a_full_cycle_says_so(man: BodyModel, truth: WalkTruth) -> None:

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import find_peaks
+from scipy.special import ndtr
 
 from gonio.kernel.gait.progression import Bout
 from gonio.kernel.smoothing.filters import known_runs, low_pass
@@ -56,6 +57,9 @@ LEAST_SWING_M = 0.1
 """Someone whose feet go less far to and fro about the pelvis does not walk."""
 
 SLOWEST_M_S = 0.1
+
+LEAST_AGREEMENT = 0.01
+"""A movement that puts an event into the interval that a force allows with less than this chance is wrong."""
 
 SAME_EVENT_S = 0.15
 """Events of one kind and foot that are closer are one."""
@@ -119,9 +123,10 @@ def events_from_force(
 
 
 def fuse(forces: GaitEvents, movement: GaitEvents, rate_hz: float) -> GaitEvents:
-    """Put both kinds of evidence together: an event that both show has the mean weighted by their variances.
+    """Put both kinds of evidence together.
 
-    A force that is more than twice as sure is taken as it is; what only one of them shows is kept.
+    A force that is more than twice as sure is taken as it is. One of few samples says between which two of them the event
+    lies, anywhere: the movement's time is confined to that interval. What only one of them shows is kept.
     """
 
     def join(a: EventTrain, b: EventTrain) -> EventTrain:
@@ -133,9 +138,8 @@ def fuse(forces: GaitEvents, movement: GaitEvents, rate_hz: float) -> GaitEvents
                 sd_s.append(sd)
                 from_force.append(False)
             elif a.sd_s[k] > 0.5 * sd:
-                weight = a.sd_s[k] ** -2, sd**-2
-                frames[k] = (weight[0] * a.frames[k] + weight[1] * frame) / sum(weight)
-                sd_s[k] = sum(weight) ** -0.5
+                later_s, sd_s[k] = _confine((frame - a.frames[k]) / rate_hz, sd, np.sqrt(3.0) * a.sd_s[k])
+                frames[k] += later_s * rate_hz
         order = np.argsort(frames)
         return EventTrain(
             frames=np.array(frames)[order],
@@ -208,6 +212,20 @@ def _contacts(times_s: Float[np.ndarray, " sample"], loaded: Bool[np.ndarray, " 
         else:
             joined.append((first, last))
     return [(first, last) for first, last in joined if times_s[last] - times_s[first] >= SHORTEST_STANCE_S]
+
+
+def _confine(mean: float, sd: float, half: float) -> tuple[float, float]:
+    """Give mean and standard deviation of a normal distribution that is cut to ± ``half``.
+
+    Where it says that it can't lie there, those of the even distribution.
+    """
+    low, high = (-half - mean) / sd, (half - mean) / sd
+    inside = float(ndtr(high) - ndtr(low))
+    if inside < LEAST_AGREEMENT:
+        return 0.0, half / np.sqrt(3.0)
+    at_low, at_high = (float(np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)) / inside for x in (low, high))
+    shift = at_low - at_high
+    return mean + sd * shift, sd * float(np.sqrt(max(1.0 + low * at_low - high * at_high - shift**2, 0.0)))
 
 
 def _passing(before: float, after: float, level: float) -> float:
