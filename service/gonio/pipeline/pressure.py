@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from gonio.errors import InputError
 from gonio.formats.force_plates import read_force_plates
-from gonio.formats.pressure_card import read_pressure_card
+from gonio.formats.pressure_card import MatCard, read_pressure_card
 from gonio.formats.pressure_csv import read_pressure
+from gonio.formats.pressure_mat import FeetOnMat
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.dynamics.recursive import solve_dynamics
 from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
@@ -42,10 +45,16 @@ GRAVITY_M_S2 = 9.80665
 
 @record
 class Sensors:
-    """What the session's soles and plates hold, None where there are none."""
+    """What the session's soles and plates hold, None where there are none.
+
+    Of a mat the ``stream`` has each foot carry half; ``mat`` and ``mat_card`` are its files, to be read again when it is known
+    where the feet are.
+    """
 
     stream: PressureStream | None
     plates: ForcePlates | None
+    mat: Path | None = None
+    mat_card: Path | None = None
 
 
 @record
@@ -75,16 +84,17 @@ def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sen
     findings: list[Finding] = []
     table, card, plate_file = (only_file(files, role) for role in ("pressure", "pressure_card", "force_plates"))
     names = {file.path: file.name for file in files}
-    stream = None
+    stream, declared = None, read_pressure_card(card) if card is not None else None
     if table is not None:
-        declared = read_pressure_card(card) if card is not None else None
         stream = read_pressure(table, declared, (-MARGIN_S, duration_s + MARGIN_S), names[table])
         if stream.doubled:
             findings.append(finding("pressure-samples-doubled", value=stream.doubled))
     plates = read_force_plates(plate_file, names[plate_file]) if plate_file is not None else None
     if stream is not None and plates is not None:
         findings.append(finding("plates-over-soles"))
-    return Outcome(Sensors(stream=stream, plates=plates), tuple(findings))
+    if table is None or not isinstance(declared, MatCard):
+        table = card = None
+    return Outcome(Sensors(stream=stream, plates=plates, mat=table, mat_card=card), tuple(findings))
 
 
 def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters) -> Outcome[Measured]:
@@ -103,14 +113,20 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
     if course is None:
         findings.append(finding("pressure-not-synchronized", where="the movement in the video is not known"))
         return Outcome(replace(nothing, plates=plates), tuple(findings))
-    stream = in_newtons(sensors.stream, course.weight_n)
-    clock = find_clock(stream.pressure, course, parameters.forces.search_s)
-    offset_s, said = _judge_clock(clock, parameters)
+    try:
+        given = _above_mat(sensors, sensors.stream, course, 0.0)
+        clock = find_clock(in_newtons(given, course.weight_n).pressure, course, parameters.forces.search_s)
+        offset_s, said = _judge_clock(clock, parameters)
+        given = _above_mat(sensors, given, course, offset_s)
+    except InputError as error:  # the mat's two halves were right, but not what the feet left on it
+        findings.append(finding("pressure-not-synchronized", where=error.message.rstrip(".")))
+        return Outcome(replace(nothing, plates=plates), tuple(findings))
     findings += said
     if np.isnan(offset_s):
         return Outcome(Measured(pressure=None, clock=clock, plates=plates), tuple(findings))
-    pressure = replace(stream.pressure, times_s=stream.pressure.times_s - offset_s)
-    findings += judge_pressure(sensors.stream, pressure, course, known_mass=parameters.subject.mass_kg is not None)
+    pressure = in_newtons(given, course.weight_n).pressure
+    pressure = replace(pressure, times_s=pressure.times_s - offset_s)
+    findings += judge_pressure(given, pressure, course, known_mass=parameters.subject.mass_kg is not None)
     return Outcome(Measured(pressure=pressure, clock=clock, plates=plates), tuple(findings))
 
 
@@ -138,6 +154,15 @@ def body_course(motion: BodyMotion) -> BodyCourse | None:
         toe_lab_m=places_m[:, [1, 5]],
         weight_n=model.mass_kg * GRAVITY_M_S2,
     )
+
+
+def _above_mat(sensors: Sensors, stream: PressureStream, course: BodyCourse, offset_s: float) -> PressureStream:
+    """Read a mat again with the feet where the video has them; what soles measured stays."""
+    if sensors.mat is None or sensors.mat_card is None or np.isnan(offset_s):
+        return stream
+    feet = FeetOnMat(course.times_s + offset_s, course.heel_lab_m, course.toe_lab_m)
+    span_s = (float(feet.times_s[0]) - MARGIN_S, float(feet.times_s[-1]) + MARGIN_S)
+    return read_pressure(sensors.mat, read_pressure_card(sensors.mat_card), span_s, stream.source, feet)
 
 
 def in_newtons(stream: PressureStream, weight_n: float) -> PressureStream:
