@@ -89,6 +89,8 @@ def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sen
         stream = read_pressure(table, declared, (-MARGIN_S, duration_s + MARGIN_S), names[table])
         if stream.doubled:
             findings.append(finding("pressure-samples-doubled", value=stream.doubled))
+        if stream.negative > 0.01:
+            findings.append(finding("pressure-below-zero", value=100 * stream.negative))
     plates = read_force_plates(plate_file, names[plate_file]) if plate_file is not None else None
     if stream is not None and plates is not None:
         findings.append(finding("plates-over-soles"))
@@ -180,7 +182,9 @@ def _judge_clock(clock: PressureClock, parameters: Parameters) -> tuple[float, t
         return np.nan, (finding("pressure-feet-swapped"),)
     witnesses = f"±{1e3 * clock.sd_s:.0f} ms, from {clock.events} contacts"
     if parameters.forces.synchronization == "hardware":
-        late = not clock.refused and abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
+        if clock.refused:
+            return 0.0, (finding("pressure-hardware-unconfirmed", where=clock.refused),)
+        late = abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
         return 0.0, (finding("pressure-hardware-late", value=1e3 * clock.offset_s),) if late else ()
     if clock.refused:
         return np.nan, (finding("pressure-not-synchronized", where=clock.refused),)
