@@ -248,12 +248,15 @@ def _unknown_share(pressure: FootPressure, times_s: Float[np.ndarray, " frame"])
 
 
 def _in_the_air_n(pressure: FootPressure, course: BodyCourse, foot: int) -> float:
-    """Give what a sole shows in the median while its foot swings forwards, faster than twice the body; 0 if it never does."""
-    heel_m_s = np.gradient(course.heel_lab_m[:, foot], course.times_s, axis=0)
-    body_m_s = np.gradient(course.com_lab_m, course.times_s, axis=0)
-    fast = np.linalg.norm(heel_m_s[:, [0, 2]], axis=1) > np.maximum(
-        2 * np.linalg.norm(body_m_s[:, [0, 2]], axis=1), 1.0
-    )
+    """Give what a sole shows in the median while its foot swings forwards; 0 if it never does.
+
+    Forwards is where the foot points, so that one that a treadmill takes backwards does not count.
+    """
+    sole_m = (course.toe_lab_m[:, foot] - course.heel_lab_m[:, foot]) * [1.0, 0.0, 1.0]
+    forwards = sole_m / np.maximum(np.linalg.norm(sole_m, axis=1, keepdims=True), 1e-6)
+    heel_m_s = (np.gradient(course.heel_lab_m[:, foot], course.times_s, axis=0) * forwards).sum(axis=1)
+    body_m_s = (np.gradient(course.com_lab_m, course.times_s, axis=0) * forwards).sum(axis=1)
+    fast = heel_m_s > np.maximum(1.5 * body_m_s, 1.0)
     swings = np.interp(pressure.times_s, course.times_s, fast.astype(float), left=0.0, right=0.0) == 1.0
     shown = pressure.vertical_n[swings & np.isfinite(pressure.vertical_n[:, foot]), foot]
     return float(np.median(shown)) if shown.size >= 3 else 0.0
