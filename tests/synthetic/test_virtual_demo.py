@@ -54,6 +54,12 @@ def test_the_table_is_printed(tmp_path: Path) -> None:
         page = run_virtual_demo(tmp_path, console)
     said = (tmp_path / "out").read_text()
     assert page.is_file()
-    for words in ("Against the truth", "right thigh", "left knee flexion, range", "Knee over time"):
+    for words in (
+        "Against the truth",
+        "right thigh",
+        "left knee flexion, range",
+        "Knee over time",
+        "accepted over HTTP",
+    ):
         assert words in said
     assert np.isfinite(float(said.split("Knee over time: ")[1].split("°")[0]))

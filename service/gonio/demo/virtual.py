@@ -4,6 +4,7 @@ The service takes videos, and no network finds a person in drawn capsules. So th
 would have read files and looked at pictures, and everything after them is the analysis that a job runs.
 """
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -13,9 +14,11 @@ from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
+from gonio.client import Client, Document
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.formats.pressure_csv import write_pressure
+from gonio.http.server import serving
 from gonio.kernel.kinematics.clinical import clinical_deg, find_clinical_angles
 from gonio.kernel.virtual_lab import PRESETS, SOLES, film, grow, make_rig, press, walk
 from gonio.pipeline import analyse
@@ -26,6 +29,7 @@ from gonio.pipeline.report_schema import Angle, GaitReport
 from gonio.pipeline.run import CaptureFile, LocalRunner, Outcome, Progress, ReportFiles
 from gonio.records import Capture, Motion, View, VirtualTrial
 from gonio.resources import models_dir
+from gonio.settings import Settings
 from gonio.terminal import progress_bar, stage_lines
 from gonio.vision.pictures import encode_jpeg
 from gonio.vision.render import draw_walk
@@ -63,6 +67,7 @@ def run_virtual_demo(output: Path, console: Console) -> Path:
     )
     with progress_bar(console) as advance:
         trial, report, seconds = analyse_virtual(output / "report", advance)
+    send_pressure(output / "report" / PRESSURE_FILE, output / "data", console)
     document = load_report(report.document)
     for line in key_lines(document):
         console.print(line, soft_wrap=True)
@@ -92,6 +97,21 @@ def analyse_virtual(
     runner = _Laboratory(trial, output, on_progress)
     report = analyse((CaptureFile(path=soles, name=soles.name, role="pressure"),), PARAMETERS, runner, output)
     return trial, report, runner.seconds
+
+
+def send_pressure(soles: Path, data_dir: Path, console: Console) -> Document:
+    """Upload the pressure stream to a service of its own, as a laboratory would, and give what the service saw in it."""
+    with serving(Settings(data_dir=data_dir.absolute(), port=0)) as url, Client(url) as gonio:
+        while not gonio.is_ready():
+            time.sleep(0.1)
+        session = gonio.create_session(name="Demo: a virtual walk", subject=PARAMETERS["subject"])
+        file = gonio.upload(session["id"], soles, role="pressure")
+    facts = file["facts"]
+    console.print(
+        f"Pressure: {file['name']}, {facts['samples']} samples at {facts['rate_hz']:.0f} Hz, accepted over HTTP",
+        soft_wrap=True,
+    )
+    return file
 
 
 def compare_angles(trial: VirtualTrial, report: GaitReport) -> list[AngleError]:

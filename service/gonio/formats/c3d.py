@@ -8,7 +8,6 @@ Y is up; the direction of progression is the file's own matter and stays. Everyt
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import ezc3d
 import numpy as np
 from jaxtyping import Float
 
@@ -82,6 +81,8 @@ def read_c3d(path: Path, name: str = "") -> C3d:
         InputError: ``capture-file-unreadable``: the file can't be read, has no frames, unknown units, or a force plate that is
             none of the types 1 to 4 or lacks its corners, origin, channels or calibration.
     """
+    import ezc3d  # takes a tenth of the time in which a worker starts, and few sessions have such a file
+
     name = name or path.name
     try:
         content = ezc3d.c3d(str(path))

@@ -28,8 +28,11 @@ DEFAULT_COLUMNS = (
 """A table with these columns needs no card: force, and the centre of pressure along the sole from the back of the heel and
 across it to the subject's right, both feet alike."""
 
-MOST_SENSORS = 4096
-"""Of one foot. The densest insoles have some hundred."""
+MOST_SENSORS = 16384
+"""Of one insole or mat. The densest insoles have some hundred; a mat of 2 m by 0.5 m with 8 mm between them has 16 000."""
+
+FARTHEST_MM = {"insole": 500.0, "mat": 50_000.0}
+"""From the heel, or from the lab's origin."""
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -99,11 +102,11 @@ class ForceFoot:
 
 
 @dataclass(frozen=True, config=_STRICT)
-class SensorFoot:
-    """One foot's sensors: a column each, or all in one column as a list; and where they are in the sole's frame.
+class SensorField:
+    """The sensors of an insole or a mat: a column each, or all in one column as a list; and where they are.
 
-    Positions are along the sole from the back of the heel, and across it to the subject's right, mm: listed one by one, or
-    as a grid whose rows follow one another.
+    Positions are mm, listed one by one, or as a grid whose rows follow one another: of an insole along the sole from the back
+    of the heel, and across it to the subject's right.
     """
 
     columns: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MOST_SENSORS)] | None = None
@@ -134,11 +137,22 @@ class SensorCard:
     decimal: Literal[".", ","] = "."
     time: Clock
     sensor: Sensor
-    right: SensorFoot | None = None
-    left: SensorFoot | None = None
+    right: SensorField | None = None
+    left: SensorField | None = None
 
 
-PressureCard = ForceCard | SensorCard
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class MatCard:
+    """A table with a value for each sensor of a mat on the floor; positions are level ones in the lab, x and z, mm."""
+
+    kind: Literal["mat"]
+    decimal: Literal[".", ","] = "."
+    time: Clock
+    sensor: Sensor
+    mat: SensorField
+
+
+PressureCard = ForceCard | SensorCard | MatCard
 
 
 @dataclass(frozen=True)
@@ -173,33 +187,41 @@ def read_pressure_card(path: Path) -> PressureCard:
         card = _ADAPTER.validate_python({"card": tomllib.loads(path.read_text(encoding="utf-8-sig"))}).card
     except ValidationError as error:
         wrong = "; ".join(
-            f"{'.'.join(str(part) for part in e['loc'] if part not in ('card', 'forces', 'sensors')) or 'kind'}: {e['msg']}"
+            # The first two parts of a place are the document and the kind of card.
+            f"{'.'.join(str(part) for part in e['loc'][2:]) or 'kind'}: {e['msg']}"
             for e in error.errors(include_url=False)[:5]
         )
         raise _unreadable(path, wrong) from error
     except (OSError, ValueError) as error:
         raise _unreadable(path, str(error).strip().split("\n")[0]) from error
     for side in ("right", "left"):
-        if getattr(card, side) is None:
+        if not isinstance(card, MatCard) and getattr(card, side) is None:
             raise InputError(
                 f"{path.name} describes no {side} foot.",
                 hint="What the ground does to the body is known from both feet only. Describe both in the card; without "
                 "the other sole, upload no pressure, and get the angles.",
                 code="pressure-one-foot",
             )
-    if isinstance(card, SensorCard):
+    if not isinstance(card, ForceCard):
         _check_sensors(card, path)
     return card
 
 
-def columns_of(foot: ForceFoot | SensorFoot) -> tuple[str, ...]:
+def parts_of(card: PressureCard) -> dict[str, ForceFoot | SensorField]:
+    """Give what a card describes, by its entry's name: ``right`` and ``left``, or ``mat``."""
+    if isinstance(card, MatCard):
+        return {"mat": card.mat}
+    return {side: foot for side, foot in (("right", card.right), ("left", card.left)) if foot is not None}
+
+
+def columns_of(foot: ForceFoot | SensorField) -> tuple[str, ...]:
     """Give the columns of the table that tell of a foot."""
     if isinstance(foot, ForceFoot):
         return (foot.force, *foot.cop)
     return foot.columns if foot.columns is not None else (foot.list_column or "",)
 
 
-def sensor_places_m(foot: SensorFoot) -> Float[np.ndarray, "sensor 2"]:
+def sensor_places_m(foot: SensorField) -> Float[np.ndarray, "sensor 2"]:
     """Give where a foot's sensors are: along the sole from the back of the heel, and across it to the right."""
     if foot.grid is None:
         return np.array(foot.positions_mm, dtype=float).reshape(-1, 2) / 1e3
@@ -208,11 +230,12 @@ def sensor_places_m(foot: SensorFoot) -> Float[np.ndarray, "sensor 2"]:
     return (np.array(foot.grid.first_mm) + steps * np.array(foot.grid.pitch_mm)) / 1e3
 
 
-def _check_sensors(card: SensorCard, path: Path) -> None:
+def _check_sensors(card: SensorCard | MatCard, path: Path) -> None:
     if card.sensor.unit in PASCALS and card.sensor.area_mm2 is None:
         raise _unreadable(path, f"sensor.area_mm2 is missing: a pressure in {card.sensor.unit} acts on an area")
-    for side, foot in (("right", card.right), ("left", card.left)):
-        assert foot is not None
+    farthest_mm = FARTHEST_MM["mat" if isinstance(card, MatCard) else "insole"]
+    for side, foot in parts_of(card).items():
+        assert isinstance(foot, SensorField)
         if (foot.columns is None) == (foot.list_column is None):
             raise _unreadable(path, f"{side}: give either columns or list_column")
         if (foot.positions_mm is None) == (foot.grid is None):
@@ -222,8 +245,9 @@ def _check_sensors(card: SensorCard, path: Path) -> None:
             raise _unreadable(path, f"{side}: {len(foot.columns)} columns, but {len(places)} positions")
         if not 0 < len(places) <= MOST_SENSORS:
             raise _unreadable(path, f"{side}: {len(places)} sensors; at most {MOST_SENSORS} are read")
-        if np.abs(places).max() > 0.5:
-            raise _unreadable(path, f"{side}: a sensor lies {1e3 * np.abs(places).max():.0f} mm from the heel")
+        if 1e3 * np.abs(places).max() > farthest_mm:
+            origin = "the lab's origin" if isinstance(card, MatCard) else "the heel"
+            raise _unreadable(path, f"{side}: a sensor lies {1e3 * np.abs(places).max():.0f} mm from {origin}")
 
 
 def _unreadable(path: Path, said: str) -> InputError:

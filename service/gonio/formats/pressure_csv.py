@@ -25,14 +25,17 @@ from gonio.formats.pressure_card import (
     Centre,
     ForceCard,
     ForceFoot,
+    MatCard,
     PressureCard,
     SensorCard,
-    SensorFoot,
+    SensorField,
     columns_of,
     default_card,
+    parts_of,
     sensor_places_m,
 )
 from gonio.formats.pressure_checks import check_values
+from gonio.formats.pressure_mat import FeetOnMat, split_by_foot
 from gonio.records import FEET, FootPressure, PressureStream
 
 MOST_SAMPLES = 2_000_000
@@ -63,7 +66,11 @@ class _Part(NamedTuple):
 
 
 def read_pressure(
-    path: Path, card: PressureCard | None = None, span_s: tuple[float, float] = SPAN_S, name: str = ""
+    path: Path,
+    card: PressureCard | None = None,
+    span_s: tuple[float, float] = SPAN_S,
+    name: str = "",
+    feet: FeetOnMat | None = None,
 ) -> PressureStream:
     """Read a pressure stream.
 
@@ -72,6 +79,8 @@ def read_pressure(
         card: What the columns mean; None for a table with :data:`gonio.formats.pressure_card.DEFAULT_COLUMNS`.
         span_s: What is kept, by the video's clock as the card declares it. Reading ends where it does.
         name: What the owner calls the file.
+        feet: Where the feet are, by the table's clock: a mat's sensors tell of the foot above them, which only the video
+            knows.
 
     Returns:
         The stream. A cell that is empty or not finite is a lost sample of its foot: NaN. So is the moment of a gap of
@@ -86,7 +95,7 @@ def read_pressure(
     name = name or path.name
     card = card or default_card()
     kept, count, first_s, last_s = [], 0, np.nan, np.nan
-    with closing(_parts(path, name, card)) as parts:
+    with closing(_parts(path, name, card, feet)) as parts:
         for part in _ascending(parts, name):
             first_s, last_s = (part.times_s[0] if np.isnan(first_s) else first_s), part.times_s[-1]
             inside = (part.times_s >= span_s[0]) & (part.times_s <= span_s[1])
@@ -197,11 +206,11 @@ def _ascending(parts: Iterator[_Part], name: str) -> Iterator[_Part]:
         yield part
 
 
-def _parts(path: Path, name: str, card: PressureCard) -> Generator[_Part, None, None]:
+def _parts(path: Path, name: str, card: PressureCard, feet: FeetOnMat | None) -> Generator[_Part, None, None]:
     """Parse the table a part at a time."""
     separator, header = _header(path, name, card.time.column)
-    feet = [foot for foot in (card.right, card.left) if foot is not None]
-    wanted = [card.time.column, *(column for foot in feet for column in columns_of(foot))]
+    parts = parts_of(card).values()
+    wanted = [card.time.column, *(column for part in parts for column in columns_of(part))]
     for column in wanted:
         if header.count(column) != 1:
             raise InputError(
@@ -210,8 +219,8 @@ def _parts(path: Path, name: str, card: PressureCard) -> Generator[_Part, None, 
                 f"{', …' if len(header) > 20 else ''}.",
                 code="pressure-unreadable",
             )
-    lists = {foot.list_column for foot in feet if isinstance(foot, SensorFoot) and foot.list_column}
-    listed = sum(len(sensor_places_m(foot)) for foot in feet if isinstance(foot, SensorFoot) and foot.list_column)
+    lists = {part.list_column for part in parts if isinstance(part, SensorField) and part.list_column}
+    listed = sum(len(sensor_places_m(part)) for part in parts if isinstance(part, SensorField) and part.list_column)
     zero: float | None = None
     try:
         with pd.read_csv(
@@ -228,7 +237,12 @@ def _parts(path: Path, name: str, card: PressureCard) -> Generator[_Part, None, 
                 stamps = table[card.time.column].to_numpy(dtype=float)
                 if zero is None:
                     zero = float(stamps[0]) if card.time.zero == "first" else float(card.time.zero)
-                yield _reduce(table, (stamps - zero) * SECONDS[card.time.unit], card)
+                times_s = (stamps - zero) * SECONDS[card.time.unit]
+                yield (
+                    _reduce_mat(table, times_s, card, feet)
+                    if isinstance(card, MatCard)
+                    else _reduce(table, times_s, card)
+                )
     except (ValueError, OverflowError, OSError, pd.errors.ParserError) as error:
         if isinstance(error, InputError):
             raise
@@ -268,7 +282,16 @@ def _split(line: str, separator: str) -> list[str]:
     return next(csv.reader([line], delimiter=separator), [])
 
 
-def _reduce(table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: PressureCard) -> _Part:
+def _reduce_mat(
+    table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: MatCard, feet: FeetOnMat | None
+) -> _Part:
+    """Turn a part of a mat's table into force and centre of pressure of the feet on it."""
+    forces, saturated = _sensor_forces(table, card, card.mat)
+    force, cop_m = split_by_foot(times_s, forces, sensor_places_m(card.mat), feet)
+    return _Part(times_s, force, cop_m, np.stack([saturated, saturated], axis=1))
+
+
+def _reduce(table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: ForceCard | SensorCard) -> _Part:
     """Turn a part of the table into force and centre of pressure."""
     force, cop_m = np.empty((len(table), len(FEET))), np.empty((len(table), len(FEET), 2))
     saturated = np.zeros((len(table), len(FEET)), dtype=bool)
@@ -282,8 +305,11 @@ def _reduce(table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: Pr
                 np.stack([_finite(table[column]) for column in foot.cop], axis=1), card.cop, foot, side
             )
         else:
-            assert isinstance(foot, SensorFoot)
-            force[:, side], cop_m[:, side], saturated[:, side] = _sum_sensors(table, card, foot)
+            assert isinstance(foot, SensorField)
+            forces, saturated[:, side] = _sensor_forces(table, card, foot)
+            force[:, side] = forces.sum(axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                cop_m[:, side] = forces @ sensor_places_m(foot) / force[:, side, None]
     return _Part(times_s, force, cop_m, saturated)
 
 
@@ -299,33 +325,29 @@ def _turn(
     return (shown - np.array(foot.heel)) * np.array(signs) * METRES[centre.unit]
 
 
-def _sum_sensors(
-    table: pd.DataFrame, card: SensorCard, foot: SensorFoot
-) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "sample 2"], Bool[np.ndarray, " sample"]]:
-    """Sum a foot's sensors to a force and the centre of it. A sample that lacks a sensor is lost."""
-    places_m = sensor_places_m(foot)
-    if foot.list_column:
-        lines = table[foot.list_column].fillna("").str.strip("[]() ")
+def _sensor_forces(
+    table: pd.DataFrame, card: SensorCard | MatCard, field: SensorField
+) -> tuple[Float[np.ndarray, "sample sensor"], Bool[np.ndarray, " sample"]]:
+    """Give each sensor's force, NaN where it is lost, and where a sensor could not show all of it."""
+    if field.list_column:
+        lines = table[field.list_column].fillna("").str.strip("[]() ")
         cells = pd.read_csv(
-            StringIO("\n".join(line or foot.separator for line in lines)),
-            sep=foot.separator,
+            StringIO("\n".join(line or field.separator for line in lines)),
+            sep=field.separator,
             decimal=card.decimal,
             header=None,
-            names=range(len(places_m)),
+            names=range(len(sensor_places_m(field))),
             index_col=False,
             dtype=float,
         ).to_numpy()
     else:
-        cells = table[list(foot.columns or ())].to_numpy(dtype=float)
+        cells = table[list(field.columns or ())].to_numpy(dtype=float)
     cells = np.where(np.isfinite(cells), cells, np.nan)
-    saturated = np.any(cells >= (card.sensor.saturation or np.inf), axis=1)
+    saturated = np.asarray(np.any(cells >= (card.sensor.saturation or np.inf), axis=1))
     scale = NEWTONS.get(card.sensor.unit, 1.0)
     if card.sensor.unit in PASCALS:
         scale = PASCALS[card.sensor.unit] * (card.sensor.area_mm2 or 0.0) * 1e-6
-    forces = scale * np.where(cells < card.sensor.threshold, 0.0, cells)
-    force = forces.sum(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return force, forces @ places_m / force[:, None], np.asarray(saturated)
+    return scale * np.where(cells < card.sensor.threshold, 0.0, cells), saturated
 
 
 def _finite(column: "pd.Series[float]") -> Float[np.ndarray, " sample"]:

@@ -10,6 +10,13 @@ SENSOR_KINDS: dict[str, Kind] = {
         "Export the time stamps with all their digits.",
         "samples",
     ),
+    "pressure-below-zero": Kind(
+        "info",
+        "sensors",
+        "{value:.0f} % of the soles' values were below zero, by noise or drift, and became zero.",
+        "Set the soles' zero with the feet in the air before each trial.",
+        "%",
+    ),
     "plates-over-soles": Kind(
         "info",
         "sensors",
@@ -51,6 +58,12 @@ SENSOR_KINDS: dict[str, Kind] = {
         "The soles were said to run on the video's clock, but the walk says that they run {value:+.0f} ms ahead.",
         "Check the trigger and its cable; ask for forces.synchronization = estimate to have it taken out.",
         "ms",
+    ),
+    "pressure-hardware-unconfirmed": Kind(
+        "warning",
+        "pressure",
+        "The soles were said to run on the video's clock; the walk does not confirm it: {where}.",
+        "Is it the stream of this trial and this person? Standing still can't confirm a clock: then all is well.",
     ),
     "pressure-gaps": Kind(
         "warning",

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from gonio.errors import InputError
 from gonio.formats.force_plates import read_force_plates
-from gonio.formats.pressure_card import read_pressure_card
+from gonio.formats.pressure_card import MatCard, read_pressure_card
 from gonio.formats.pressure_csv import read_pressure
+from gonio.formats.pressure_mat import FeetOnMat
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.dynamics.recursive import solve_dynamics
 from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
@@ -42,10 +45,16 @@ GRAVITY_M_S2 = 9.80665
 
 @record
 class Sensors:
-    """What the session's soles and plates hold, None where there are none."""
+    """What the session's soles and plates hold, None where there are none.
+
+    Of a mat the ``stream`` has each foot carry half; ``mat`` and ``mat_card`` are its files, to be read again when it is known
+    where the feet are.
+    """
 
     stream: PressureStream | None
     plates: ForcePlates | None
+    mat: Path | None = None
+    mat_card: Path | None = None
 
 
 @record
@@ -75,16 +84,19 @@ def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sen
     findings: list[Finding] = []
     table, card, plate_file = (only_file(files, role) for role in ("pressure", "pressure_card", "force_plates"))
     names = {file.path: file.name for file in files}
-    stream = None
+    stream, declared = None, read_pressure_card(card) if card is not None else None
     if table is not None:
-        declared = read_pressure_card(card) if card is not None else None
         stream = read_pressure(table, declared, (-MARGIN_S, duration_s + MARGIN_S), names[table])
         if stream.doubled:
             findings.append(finding("pressure-samples-doubled", value=stream.doubled))
+        if stream.negative > 0.01:
+            findings.append(finding("pressure-below-zero", value=100 * stream.negative))
     plates = read_force_plates(plate_file, names[plate_file]) if plate_file is not None else None
     if stream is not None and plates is not None:
         findings.append(finding("plates-over-soles"))
-    return Outcome(Sensors(stream=stream, plates=plates), tuple(findings))
+    if table is None or not isinstance(declared, MatCard):
+        table = card = None
+    return Outcome(Sensors(stream=stream, plates=plates, mat=table, mat_card=card), tuple(findings))
 
 
 def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters) -> Outcome[Measured]:
@@ -103,14 +115,20 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
     if course is None:
         findings.append(finding("pressure-not-synchronized", where="the movement in the video is not known"))
         return Outcome(replace(nothing, plates=plates), tuple(findings))
-    stream = in_newtons(sensors.stream, course.weight_n)
-    clock = find_clock(stream.pressure, course, parameters.forces.search_s)
-    offset_s, said = _judge_clock(clock, parameters)
+    try:
+        given = _above_mat(sensors, sensors.stream, course, 0.0)
+        clock = find_clock(in_newtons(given, course.weight_n).pressure, course, parameters.forces.search_s)
+        offset_s, said = _judge_clock(clock, parameters)
+        given = _above_mat(sensors, given, course, offset_s)
+    except InputError as error:  # the mat's two halves were right, but not what the feet left on it
+        findings.append(finding("pressure-not-synchronized", where=error.message.rstrip(".")))
+        return Outcome(replace(nothing, plates=plates), tuple(findings))
     findings += said
     if np.isnan(offset_s):
         return Outcome(Measured(pressure=None, clock=clock, plates=plates), tuple(findings))
-    pressure = replace(stream.pressure, times_s=stream.pressure.times_s - offset_s)
-    findings += judge_pressure(sensors.stream, pressure, course, known_mass=parameters.subject.mass_kg is not None)
+    pressure = in_newtons(given, course.weight_n).pressure
+    pressure = replace(pressure, times_s=pressure.times_s - offset_s)
+    findings += judge_pressure(given, pressure, course, known_mass=parameters.subject.mass_kg is not None)
     return Outcome(Measured(pressure=pressure, clock=clock, plates=plates), tuple(findings))
 
 
@@ -140,6 +158,15 @@ def body_course(motion: BodyMotion) -> BodyCourse | None:
     )
 
 
+def _above_mat(sensors: Sensors, stream: PressureStream, course: BodyCourse, offset_s: float) -> PressureStream:
+    """Read a mat again with the feet where the video has them; what soles measured stays."""
+    if sensors.mat is None or sensors.mat_card is None or np.isnan(offset_s):
+        return stream
+    feet = FeetOnMat(course.times_s + offset_s, course.heel_lab_m, course.toe_lab_m)
+    span_s = (float(feet.times_s[0]) - MARGIN_S, float(feet.times_s[-1]) + MARGIN_S)
+    return read_pressure(sensors.mat, read_pressure_card(sensors.mat_card), span_s, stream.source, feet)
+
+
 def in_newtons(stream: PressureStream, weight_n: float) -> PressureStream:
     """Scale a stream of counts so that both feet carry the body's weight in the mean; one in newtons stays."""
     if stream.in_newtons:
@@ -155,7 +182,9 @@ def _judge_clock(clock: PressureClock, parameters: Parameters) -> tuple[float, t
         return np.nan, (finding("pressure-feet-swapped"),)
     witnesses = f"±{1e3 * clock.sd_s:.0f} ms, from {clock.events} contacts"
     if parameters.forces.synchronization == "hardware":
-        late = not clock.refused and abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
+        if clock.refused:
+            return 0.0, (finding("pressure-hardware-unconfirmed", where=clock.refused),)
+        late = abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
         return 0.0, (finding("pressure-hardware-late", value=1e3 * clock.offset_s),) if late else ()
     if clock.refused:
         return np.nan, (finding("pressure-not-synchronized", where=clock.refused),)
@@ -219,12 +248,15 @@ def _unknown_share(pressure: FootPressure, times_s: Float[np.ndarray, " frame"])
 
 
 def _in_the_air_n(pressure: FootPressure, course: BodyCourse, foot: int) -> float:
-    """Give what a sole shows in the median while its foot swings forwards, faster than twice the body; 0 if it never does."""
-    heel_m_s = np.gradient(course.heel_lab_m[:, foot], course.times_s, axis=0)
-    body_m_s = np.gradient(course.com_lab_m, course.times_s, axis=0)
-    fast = np.linalg.norm(heel_m_s[:, [0, 2]], axis=1) > np.maximum(
-        2 * np.linalg.norm(body_m_s[:, [0, 2]], axis=1), 1.0
-    )
+    """Give what a sole shows in the median while its foot swings forwards; 0 if it never does.
+
+    Forwards is where the foot points, so that one that a treadmill takes backwards does not count.
+    """
+    sole_m = (course.toe_lab_m[:, foot] - course.heel_lab_m[:, foot]) * [1.0, 0.0, 1.0]
+    forwards = sole_m / np.maximum(np.linalg.norm(sole_m, axis=1, keepdims=True), 1e-6)
+    heel_m_s = (np.gradient(course.heel_lab_m[:, foot], course.times_s, axis=0) * forwards).sum(axis=1)
+    body_m_s = (np.gradient(course.com_lab_m, course.times_s, axis=0) * forwards).sum(axis=1)
+    fast = heel_m_s > np.maximum(1.5 * body_m_s, 1.0)
     swings = np.interp(pressure.times_s, course.times_s, fast.astype(float), left=0.0, right=0.0) == 1.0
     shown = pressure.vertical_n[swings & np.isfinite(pressure.vertical_n[:, foot]), foot]
     return float(np.median(shown)) if shown.size >= 3 else 0.0

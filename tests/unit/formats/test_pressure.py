@@ -10,6 +10,7 @@ from gonio.errors import InputError
 from gonio.formats import pressure_csv
 from gonio.formats.pressure_card import DEFAULT_COLUMNS, read_pressure_card
 from gonio.formats.pressure_csv import read_pressure
+from gonio.formats.pressure_mat import FeetOnMat, split_by_foot
 
 FORCES = """
 kind = "forces"
@@ -272,7 +273,7 @@ def test_what_is_no_table_is_refused(tmp_path, content):
         ("grid = {", "what = {", "left.what: Unexpected keyword argument"),
         ('kind = "sensors"', "", "kind: "),
         ("[time]", "[time", "no pressure card"),
-        ("rows = 2", "rows = 100000", "less than or equal to 4096"),
+        ("rows = 2", "rows = 100000", "less than or equal to 16384"),
     ],
 )
 def test_cards_are_refused_with_the_entry_that_is_wrong(tmp_path, old, new, message):
@@ -314,6 +315,36 @@ def test_too_many_samples_are_refused_while_they_come(write, monkeypatch):
     with pytest.raises(InputError, match="more than 1000 samples") as raised:
         read_pressure(*write(steps(samples=5000)))
     assert raised.value.code == "pressure-too-long"
+
+
+def test_a_foot_beside_the_mat_is_unknown():
+    """Two sensors 0.2 m apart under the right foot; the left one is above the mat at first, then steps beside it."""
+    times_s = np.arange(4) / 10
+    heel = np.tile([[[0.1, 0.05, 0.1], [0.1, 0.05, -0.1]]], (4, 1, 1))
+    heel[2:, 1, 2] = -0.5
+    places_m = np.array([[0.0, -0.2], [0.5, 0.2], [0.15, 0.1], [0.25, 0.1]])
+    forces = np.tile([0.0, 0.0, 300.0, 100.0], (4, 1))
+    forces[3, 0] = np.nan
+    force, cop_m = split_by_foot(
+        times_s, forces, places_m, FeetOnMat(times_s, heel, heel + np.array([0.18, -0.05, 0.0]))
+    )
+    assert force[:3, 0].tolist() == [400.0] * 3
+    assert force[:2, 1].tolist() == [0.0, 0.0]
+    assert np.isnan(force[2, 1])
+    assert np.isnan(force[3]).all()
+    # 175 mm before the lab's origin, 75 mm before the heel's; along a sole that slopes down by 50 mm in 180.
+    slope = np.array([0.18, -0.05]) / np.hypot(0.18, 0.05)
+    np.testing.assert_allclose(cop_m[0, 0], [slope @ [0.075, -0.05], 0.0], atol=1e-12)
+
+
+def test_a_mats_card(tmp_path):
+    text = SENSORS.partition("[right]")[0].replace('"sensors"', '"mat"')
+    (tmp_path / "m.toml").write_text(text + '[mat]\ncolumns = ["a"]\npositions_mm = [[60000, 0]]\n')
+    with pytest.raises(InputError, match="60000 mm from the lab's origin"):
+        read_pressure_card(tmp_path / "m.toml")
+    (tmp_path / "m.toml").write_text(text)
+    with pytest.raises(InputError, match="mat: Field required"):
+        read_pressure_card(tmp_path / "m.toml")
 
 
 ISCAS = """

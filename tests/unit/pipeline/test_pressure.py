@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from gonio.errors import InputError
@@ -96,6 +97,15 @@ def test_a_hardware_trigger_is_honoured_and_checked(walker, motion, sensors):
     assert said(late)["pressure-hardware-late"].value == pytest.approx(80, abs=8)
 
 
+def test_noise_below_zero_is_said(walker, sensors, tmp_path):
+    pressure = soles(walker)
+    sensors(replace(pressure, vertical_n=np.where(pressure.vertical_n > 0, pressure.vertical_n, -5.0)))
+    files = [CaptureFile(path=tmp_path / "soles.csv", name="soles.csv", role="pressure")]
+    (found,) = read_sensors(files, DURATION_S).findings
+    assert found.code == "pressure-below-zero"
+    assert found.value == pytest.approx(100 * float((pressure.vertical_n == 0).mean()), abs=1)
+
+
 def test_swapped_feet_are_not_used(walker, motion, sensors):
     pressure = soles(walker)
     swapped = replace(
@@ -183,6 +193,57 @@ def test_plates_take_their_feet(walker, motion):
     assert set(said(missed)) == {"plates-not-used"}
 
 
+MAT = """
+kind = "mat"
+[time]
+column = "t"
+unit = "s"
+[sensor]
+unit = "N"
+[mat]
+list_column = "cells"
+separator = " "
+grid = { rows = 140, columns = 24, first_mm = [-2200, -345], pitch_mm = [30, 30] }
+"""
+
+
+def lay_mat(truth, ahead_s, path):
+    """Write what a mat of 4.2 m × 0.7 m shows: each foot's force on the four sensors about its centre."""
+    cells = np.zeros((len(truth.times_s), 140, 24))
+    for foot in range(2):
+        loaded = np.flatnonzero(truth.wrench[:, foot, 1] > 1.0)
+        row, column = (truth.cop_lab_m[loaded, foot][:, [0, 2]] - [-2.2, -0.345]).T / 0.030
+        for rows, columns in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            share = np.abs(1 - rows - row % 1) * np.abs(1 - columns - column % 1)
+            place = (loaded, row.astype(int) + rows, column.astype(int) + columns)
+            np.add.at(cells, place, share * truth.wrench[loaded, foot, 1])
+    lines = [" ".join("0" if cell == 0 else f"{cell:.3f}" for cell in sample.ravel()) for sample in cells]
+    table = pd.DataFrame({"t": truth.times_s + ahead_s, "cells": lines})
+    table.to_csv(path, index=False)
+
+
+def test_a_mat_is_shared_out_to_the_feet_above_it(walker, motion, tmp_path):
+    truth = truth_at(walker, np.arange(0, DURATION_S, 0.02))
+    lay_mat(truth, 0.05, tmp_path / "mat.csv")
+    (tmp_path / "c.toml").write_text(MAT)
+    files = [
+        CaptureFile(path=tmp_path / "mat.csv", name="mat.csv", role="pressure"),
+        CaptureFile(path=tmp_path / "c.toml", name="c.toml", role="pressure_card"),
+    ]
+    outcome = measure_forces(read_sensors(files, DURATION_S).value, motion, CHOSEN)
+    assert set(said(outcome)) <= {"pressure-synchronized", "pressure-gaps"}
+    assert outcome.value.clock.offset_s == pytest.approx(0.05, abs=0.008)
+    found, exact = outcome.value.pressure, soles(walker)
+    known = np.isfinite(found.vertical_n)
+    assert known.mean() > 0.95
+    assert np.abs(found.vertical_n - truth.wrench[..., 1])[known].max() < 2.0
+    pressed = known & (truth.wrench[..., 1] > 100.0)
+    # Within the error of the offset, a centre of pressure that runs at 0.5 m/s moves 4 mm; beyond the toe joint the sole
+    # bends away from the line of the heel.
+    away_m = (found.cop_foot_m - exact.cop_foot_m[: len(found.times_s)])[pressed]
+    assert np.sqrt(np.mean(away_m**2)) < 0.010
+
+
 def test_a_real_messy_stream_that_is_not_of_this_trial_is_refused_with_a_reason(insole_iscas, motion, tmp_path):
     card = tmp_path / "insole.toml"
     feet = "\n".join(
@@ -203,4 +264,4 @@ def test_a_real_messy_stream_that_is_not_of_this_trial_is_refused_with_a_reason(
     assert outcome.value.pressure is None
     assert "pressure-not-synchronized" in said(outcome) or "pressure-feet-swapped" in said(outcome)
     trusted = measure_forces(read_sensors(files, DURATION_S).value, motion, HARDWARE)
-    assert {"pressure-uncalibrated", "pressure-rate-low"} <= set(said(trusted))
+    assert {"pressure-uncalibrated", "pressure-rate-low", "pressure-hardware-unconfirmed"} <= set(said(trusted))
