@@ -1,5 +1,6 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
+from gonio.records.articulated import Floor, JointKind, JointMotion, KnownLength, Part, check_pictures
 from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
     FIXED,
@@ -65,6 +66,12 @@ __all__ = [
     "SWAPPED",
     "TOO_FEW_MARKERS",
     "UNKNOWNS",
+    "Floor",
+    "JointKind",
+    "JointMotion",
+    "KnownLength",
+    "Part",
+    "check_pictures",
     "Board",
     "BoardTrack",
     "BoardViews",
