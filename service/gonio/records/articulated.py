@@ -97,7 +97,7 @@ def check_pictures(cameras: tuple[Camera, ...], parts: tuple[Part, ...]) -> None
     Raises:
         InputError: ``too-few-pictures``, ``tracks-do-not-fit``, ``joint-tree-broken`` or ``floor-length-clash``.
     """
-    if len(cameras) < 2:  # noqa: PLR2004 - one picture shows no motion
+    if len(cameras) < 2:
         raise InputError(
             "There is one picture only: it shows no motion.",
             hint="Give two pictures or more, better four.",

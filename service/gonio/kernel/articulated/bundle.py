@@ -98,8 +98,8 @@ class _Normal:
     tx: Float[np.ndarray, "start point twist 3"]
 
 
-def _normal(sights: Sights, motions: Motions, X: Float[np.ndarray, "start point 3"], huber: float) -> _Normal:
-    Y = motions.moved(X)
+def _normal(sights: Sights, motions: Motions, x_m: Float[np.ndarray, "start point 3"], huber: float) -> _Normal:
+    Y = motions.moved(x_m)
     r, slope = whitened(sights, Y)
     size = np.hypot(r[..., 0], r[..., 1])
     weight = np.ones_like(r)
@@ -127,7 +127,7 @@ def adjust(
     kind: JointKind,
     sights: Sights,
     motions: Motions,
-    X: Float[np.ndarray, "start point 3"],
+    x_m: Float[np.ndarray, "start point 3"],
     *,
     iterations: int,
     huber: float = HUBER,
@@ -136,28 +136,28 @@ def adjust(
 
     A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
     """
-    cost = loss(whitened(sights, motions.moved(X))[0], huber)
+    cost = loss(whitened(sights, motions.moved(x_m))[0], huber)
     damping, calm = np.full(len(cost), 1e-3), np.zeros(len(cost), dtype=int)
     for _ in range(iterations):
-        going = np.flatnonzero((calm < 2) & np.isfinite(cost) & (damping < 1e8))  # noqa: PLR2004 - see the docstring
+        going = np.flatnonzero((calm < 2) & np.isfinite(cost) & (damping < 1e8))
         if not len(going):
             break
-        here, x = motions.pick(going), X[going]
-        change, dx = _solve(kind, sights, here, x, damping[going], huber)
-        tried, moved = step(kind, here, change, sights.reference), x + dx
+        here, at_m = motions.pick(going), x_m[going]
+        change, dx = _solve(kind, sights, here, at_m, damping[going], huber)
+        tried, moved = step(kind, here, change, sights.reference), at_m + dx
         new = loss(whitened(sights, tried.moved(moved))[0], huber)
         better = new < cost[going]
         calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
         damping[going] *= np.where(better, 0.2, 6.0)
         took = going[better]
-        cost[took], X = new[better], _put(X, took, moved[better])
+        cost[took], x_m = new[better], _put(x_m, took, moved[better])
         motions = Motions(
             *(
                 _put(old, took, fresh[better])
                 for old, fresh in zip(vars(motions).values(), vars(tried).values(), strict=True)
             )
         )
-    return motions, X, cost
+    return motions, x_m, cost
 
 
 def _put(all_of: np.ndarray, where: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -170,14 +170,13 @@ def _solve(
     kind: JointKind,
     sights: Sights,
     motions: Motions,
-    X: Float[np.ndarray, "start point 3"],
+    x_m: Float[np.ndarray, "start point 3"],
     damping: Float[np.ndarray, " start"],
     huber: float,
 ) -> tuple[Float[np.ndarray, "start unknown"], Float[np.ndarray, "start point 3"]]:
-    n = _normal(sights, motions, X, huber)
-    B = twists_of(kind, motions, sights.reference)
-    starts, points = X.shape[:2]
-    B = B.reshape(starts, -1, B.shape[-1])
+    n = _normal(sights, motions, x_m, huber)
+    starts, points = x_m.shape[:2]
+    B = twists_of(kind, motions, sights.reference).reshape(starts, n.gt.shape[1], -1)
     more = 1 + damping[:, None]
     xx = n.xx.copy()
     xx[..., range(3), range(3)] = xx[..., range(3), range(3)] * more[..., None] + 1e-9
@@ -198,12 +197,12 @@ def _solve(
 
 
 def dense_jacobian(
-    kind: JointKind, sights: Sights, motions: Motions, X: Float[np.ndarray, "1 point 3"]
+    kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np.ndarray, "1 point 3"]
 ) -> tuple[
     Float[np.ndarray, "residual unknown"], Float[np.ndarray, "residual point3"], Float[np.ndarray, "residual twist"]
 ]:
     """Give the slopes of all whitened residuals of one solution: by the joint's unknowns, the points, and any twists."""
-    Y = motions.moved(X)
+    Y = motions.moved(x_m)
     _, slope = whitened(sights, Y)
     pictures, points = sights.used.shape
     by_x = np.zeros((pictures, points, 3, points, 3))

@@ -119,7 +119,7 @@ def sights_of(
     Ts = inverse(Gs) @ np.stack([camera.T_lab_cam for camera in cameras])
     uv = np.stack([undistort(camera, marks) for camera, marks in zip(cameras, part.uv_px, strict=True)])
     K = np.stack([camera.intrinsic_px for camera in cameras])
-    used = np.isfinite(uv).all(axis=-1)
+    used = np.isfinite(uv[..., 0] + uv[..., 1])
     normal = floor.normal if floor else np.array([0.0, 1.0, 0.0])
     sights = Sights(
         R_cam=Ts[:, :3, :3].swapaxes(-1, -2), o_m=Ts[:, :3, 3], f_px=K[:, [0, 1], [0, 1]],
@@ -135,13 +135,13 @@ def _scaled(solution: Solution, part: Part) -> Solution:
     length = part.length
     assert length is not None
     s, m = solution.sights, solution.motions
-    factor = length.length_m / float(np.linalg.norm(solution.X[0, length.first] - solution.X[0, length.second]))
+    factor = length.length_m / float(np.linalg.norm(solution.x_m[0, length.first] - solution.x_m[0, length.second]))
     o0 = s.o_m[s.reference]
     turned = m.R @ o0
-    X = o0 + factor * (solution.X - o0)
+    x_m = o0 + factor * (solution.x_m - o0)
     motions = replace(m, t=s.o_m - turned + factor * (m.t - s.o_m + turned))
-    J, Jx, Jt = dense_jacobian("free", s, motions, X)
-    along = X[0, length.first] - X[0, length.second]
+    J, Jx, Jt = dense_jacobian("free", s, motions, x_m)
+    along = x_m[0, length.first] - x_m[0, length.second]
     row = np.zeros((1, J.shape[1] + Jx.shape[1]))
     sd = max(length.sd_m, 1e-4 * length.length_m)
     for point, sign in ((length.first, 1.0), (length.second, -1.0)):
@@ -154,7 +154,7 @@ def _scaled(solution: Solution, part: Part) -> Solution:
     m_count = J.shape[1]
     by_twist = -(H_inverse @ both[:-1].T @ Jt)[:m_count]
     found = replace(solution.found, covariance=H_inverse[:m_count, :m_count], by_twist=by_twist)
-    return replace(solution, motions=motions, X=X, found=found)
+    return replace(solution, motions=motions, x_m=x_m, found=found)
 
 
 def _world_to_local(G: Float[np.ndarray, "4 4"], pivot: Float[np.ndarray, "3"]) -> Float[np.ndarray, "6 6"]:
@@ -221,20 +221,20 @@ def _packed(
         axis_cov = move @ covariance[tilt, tilt] @ move.T
         if kind == "hinge":
             seen = solution.sights.used.any(axis=0)
-            middle = solution.X[0, seen].mean(axis=0)
+            middle = solution.x_m[0, seen].mean(axis=0)
             foot = motions.centre[0] + axis * ((middle - motions.centre[0]) @ axis)
             point, slide = foot + pivot, float((foot - motions.centre[0]) @ axis)
             # The foot lies `slide` along the axis from the point that the unknowns move: a tilt shifts it sideways.
             both = np.concatenate([slide * move, plane], axis=1)
             point_cov = both @ covariance[-4:, -4:] @ both.T
-    r, _ = whitened(replace(solution.sights, sigma_px=1.0), motions.moved(solution.X))
+    r, _ = whitened(replace(solution.sights, sigma_px=1.0), motions.moved(solution.x_m))
     used = solution.sights.used
     return JointMotion(
         part=part.name, kind=kind, Ts_parent_part=Ts, Ts_world_part=Gs @ Ts, pivot_m=pivot,
         twist_covariance=twist_covariance(kind, motions, solution.sights.reference, covariance),
         world_twist_covariance=world, centre_m=centre, centre_covariance_m2=centre_cov, axis=axis,
         axis_covariance=axis_cov, axis_point_m=point, axis_point_covariance_m2=point_cov,
-        xyz_m=np.where(used.any(axis=0)[:, None], solution.X[0] + pivot, np.nan), used=used,
+        xyz_m=np.where(np.asarray(used.any(axis=0))[:, None], solution.x_m[0] + pivot, np.nan), used=used,
         residual_px=np.where(used[..., None], r[0, ..., :2], np.nan), sigma_px=solution.sigma_px,
         found_hinge=solution.found_hinge,
         other=None if solution.other is None else _unshifted(solution.other, pivot),

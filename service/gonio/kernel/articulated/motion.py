@@ -1,6 +1,6 @@
 """How each kind of joint may move: its unknowns, what a small change of them does to the part, and how to make the change.
 
-All kinds share one language. A part's motion in picture i is ``Y = R_i X + t_i``; a small change of it is a twist ``(w, v)``
+All kinds share one language. A part's motion in picture i is ``Y = R_i x_m + t_i``; a small change of it is a twist ``(w, v)``
 applied afterwards, ``dY = w × Y + v``. A kind says only which twists its unknowns can make (:func:`twists_of`), and how to
 take a finite step (:func:`step`). The solver, the covariance and the test of what can be observed then know no kinds.
 
@@ -33,9 +33,9 @@ class Motions:
         """Keep some starts."""
         return Motions(self.R[starts], self.t[starts], self.centre[starts], self.axis[starts])
 
-    def moved(self, X: Float[np.ndarray, "start point 3"]) -> Float[np.ndarray, "start picture point 3"]:
+    def moved(self, x_m: Float[np.ndarray, "start point 3"]) -> Float[np.ndarray, "start picture point 3"]:
         """Give where the part's points are in each picture."""
-        return X[:, None] @ self.R.swapaxes(-1, -2) + self.t[:, :, None]
+        return x_m[:, None] @ self.R.swapaxes(-1, -2) + self.t[:, :, None]
 
 
 def unknowns(kind: JointKind, pictures: int) -> int:
@@ -58,7 +58,7 @@ def turn(w: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
 
 def across(axis: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 2"]:
     """Give two unit vectors perpendicular to the axis and to each other, as columns."""
-    helper = np.where(np.abs(axis[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])  # noqa: PLR2004 - any vector off the axis
+    helper = np.where(np.abs(axis[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     first = np.cross(axis, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, np.cross(axis, first)], axis=-1)
@@ -106,16 +106,16 @@ def step(kind: JointKind, motions: Motions, change: Float[np.ndarray, "start unk
     own = np.zeros((starts, pictures, each))
     own[:, moving] = change[:, : each * len(moving)].reshape(starts, -1, each)
     shared = change[:, each * len(moving) :]
-    R, t, centre, axis = motions.R, motions.t, motions.centre, motions.axis
+    rotation, t, centre, axis = motions.R, motions.t, motions.centre, motions.axis
     plane = across(axis)
     if kind == "spherical":
-        R, centre = turn(own) @ R, centre + shared
-        t = centre[:, None] - (R @ centre[:, None, :, None])[..., 0]
+        rotation, centre = turn(own) @ rotation, centre + shared
+        t = centre[:, None] - (rotation @ centre[:, None, :, None])[..., 0]
     elif kind == "hinge":
         tilt = turn((plane @ shared[:, :2, None])[..., 0])
-        R = tilt[:, None] @ turn(own * axis[:, None]) @ R @ tilt[:, None].swapaxes(-1, -2)
+        rotation = tilt[:, None] @ turn(own * axis[:, None]) @ rotation @ tilt[:, None].swapaxes(-1, -2)
         centre, axis = centre + (plane @ shared[:, 2:, None])[..., 0], (tilt @ axis[..., None])[..., 0]
-        t = centre[:, None] - (R @ centre[:, None, :, None])[..., 0]
+        t = centre[:, None] - (rotation @ centre[:, None, :, None])[..., 0]
     elif kind == "prismatic":
         slid = (t * axis[:, None]).sum(axis=-1) + own[..., 0]
         # The tangent (plane @ shared) is the axis's change itself: it turns about axis × change.
@@ -126,5 +126,5 @@ def step(kind: JointKind, motions: Motions, change: Float[np.ndarray, "start unk
         w = own[..., :3] if kind == "free" else own[..., :1] * axis[:, None]
         v = own[..., 3:] if kind == "free" else (plane[:, None] @ own[..., 1:, None])[..., 0]
         dR = turn(w)
-        R, t = dR @ R, (dR @ t[..., None])[..., 0] + v
-    return Motions(R, t, centre, axis)
+        rotation, t = dR @ rotation, (dR @ t[..., None])[..., 0] + v
+    return Motions(rotation, t, centre, axis)

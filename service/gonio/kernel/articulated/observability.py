@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from gonio.errors import CaptureError
 from gonio.kernel.articulated.bundle import Sights, dense_jacobian
@@ -20,11 +21,14 @@ UNOBSERVED = 1.0
 STILL_RAD = 0.02
 """A part that turns less than this in all pictures does not move, as far as its centre is concerned."""
 
-LINE = 0.02
+LINE = 0.06
 """Points lie on a line if their second principal extent is less than this share of the first."""
 
-STATIC = 1e-3
-"""A camera stands still if its centres spread by less than this share of the distance to the part."""
+STATIC_M = 1e-3
+"""A camera whose centres spread by less than this certainly stands still."""
+
+STATIC = 0.02
+"""Where a joint can't be told, a camera whose centres spread by less than this share of the distance is to blame."""
 
 REFUSALS = {
     "scale-unobservable": (
@@ -74,57 +78,70 @@ class Sensitivity:
     by_twist: Float[np.ndarray, "unknown twist"]
 
 
-def sensitivity(kind: JointKind, sights: Sights, motions: Motions, X: Float[np.ndarray, "1 point 3"]) -> Sensitivity:
+def sensitivity(kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np.ndarray, "1 point 3"]) -> Sensitivity:
     """Invert the normal equations; a direction that nothing observes has a huge but finite variance."""
-    J, Jx, Jt = dense_jacobian(kind, sights, motions, X)
+    J, Jx, Jt = dense_jacobian(kind, sights, motions, x_m)
     both = np.concatenate([J, Jx], axis=1)
     H = both.T @ both
     values, vectors = np.linalg.eigh(H)
     values = np.maximum(values, 1e-9)
     inverse = (vectors / values) @ vectors.T
     m = J.shape[1]
-    points = np.stack([inverse[m + 3 * k : m + 3 * k + 3, m + 3 * k : m + 3 * k + 3] for k in range(X.shape[1])])
+    points = np.stack([inverse[m + 3 * k : m + 3 * k + 3, m + 3 * k : m + 3 * k + 3] for k in range(x_m.shape[1])])
     return Sensitivity(inverse[:m, :m], points, -(inverse @ both.T @ Jt)[:m])
 
 
+def check_moving_camera(kind: JointKind, sights: Sights, part: str) -> None:
+    """Refuse a joint that keeps its place before a camera that does too: its distance is anybody's guess.
+
+    If each picture's rays are those of the reference turned as a whole, the part turned about the line of sight, and not
+    even its shape can be told.
+
+    Raises:
+        CaptureError: ``camera-static`` or ``no-parallax``.
+    """
+    if kind not in ("spherical", "hinge") or np.ptp(sights.o_m, axis=0).max() > STATIC_M:
+        return
+    rays, r = sights.rays(), sights.reference
+    for i in range(len(rays)):
+        both = sights.used[i] & sights.used[r]
+        turn, miss = Rotation.align_vectors(rays[i, both], rays[r, both]) if both.sum() > 2 else (None, 0.0)
+        if turn is not None and miss * sights.f_px.mean() / np.sqrt(2 * both.sum()) > 3 * sights.sigma_px:
+            raise refuse("camera-static", part)
+    raise refuse("no-parallax", part)
+
+
 def check_observed(
-    kind: JointKind, sights: Sights, motions: Motions, X: Float[np.ndarray, "1 point 3"], found: Sensitivity, part: str
+    kind: JointKind,
+    sights: Sights,
+    motions: Motions,
+    x_m: Float[np.ndarray, "1 point 3"],
+    found: Sensitivity,
+    part: str,
 ) -> None:
     """Refuse a solution that has a direction which nothing observes.
 
     Raises:
         CaptureError: One of :data:`REFUSALS`.
     """
+    seen = x_m[0, sights.used.any(axis=0)]
+    extent = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+    if extent[1] < LINE * extent[0]:
+        raise refuse("collinear-points", part)
     values = np.linalg.eigvalsh(found.covariance)
     if np.isfinite(values).all() and values.max() < UNOBSERVED**2:
         return
-    raise refuse(_situation(kind, sights, motions, X), part)
+    raise refuse(_situation(kind, sights, motions, seen.mean(axis=0)), part)
 
 
-def _situation(kind: JointKind, sights: Sights, motions: Motions, X: Float[np.ndarray, "1 point 3"]) -> str:
-    middle = X[0].mean(axis=0)
-    extent = np.linalg.svd(X[0] - middle, compute_uv=False)
-    distance = np.linalg.norm(sights.o_m - middle, axis=1)
-    static = np.ptp(sights.o_m, axis=0).max() < STATIC * distance.min()
-    vectors = np.stack([_vector(R) for R in motions.R[0]])
-    largest = np.linalg.norm(vectors, axis=1)
-    if len(extent) < 2 or extent[1] < LINE * extent[0]:  # noqa: PLR2004 - a second extent
-        return "collinear-points"
-    if kind in ("spherical", "hinge") and largest.max() < STILL_RAD:
-        return "no-motion"
-    if static and kind in ("spherical", "hinge"):
-        sight = (middle - sights.o_m[0]) / distance[0]
-        along = np.abs(vectors @ sight) > 0.98 * largest  # noqa: PLR2004 - within 11°
-        return "no-parallax" if along[largest > STILL_RAD].all() else "camera-static"
+def _situation(kind: JointKind, sights: Sights, motions: Motions, middle_m: Float[np.ndarray, "3"]) -> str:
+    largest = Rotation.from_matrix(motions.R[0]).magnitude().max()
     if kind in ("free", "planar", "prismatic"):
         return "scale-unobservable"
-    return "not-observable"
-
-
-def _vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = np.linalg.norm(skew)
-    return skew / max(sine, 1e-12) * np.arctan2(sine, np.trace(R) - 1)
+    if largest < STILL_RAD:
+        return "no-motion"
+    distance = np.linalg.norm(sights.o_m - middle_m, axis=1).min()
+    return "camera-static" if np.ptp(sights.o_m, axis=0).max() < STATIC * distance else "not-observable"
 
 
 def twist_covariance(

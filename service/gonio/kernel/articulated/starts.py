@@ -93,12 +93,12 @@ def _on_rays(
 ) -> Float[np.ndarray, "start point 3"]:
     """Put each point at its part's depth on its ray in the reference picture, or else in the first that shows it."""
     rays, r = sights.rays(), sights.reference
-    X = np.empty((len(motions.t), sights.used.shape[1], 3))
-    for k in range(X.shape[1]):
+    x_m = np.empty((len(motions.t), sights.used.shape[1], 3))
+    for k in range(x_m.shape[1]):
         seen = np.flatnonzero(sights.used[:, k])
         i = r if sights.used[r, k] or not len(seen) else seen[0]
         ahead = sights.R_cam[i, 2]
         depth = (at_m[i] - sights.o_m[i]) @ ahead
         y = sights.o_m[i] + rays[i, k] * depth / (rays[i, k] @ ahead) if len(seen) else at_m[i]
-        X[:, k] = (motions.R[:, i].swapaxes(-1, -2) @ (y - motions.t[:, i])[..., None])[..., 0]
-    return X
+        x_m[:, k] = (motions.R[:, i].swapaxes(-1, -2) @ (y - motions.t[:, i])[..., None])[..., 0]
+    return x_m

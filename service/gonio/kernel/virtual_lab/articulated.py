@@ -74,9 +74,12 @@ def virtual_cameras(rng: np.random.Generator, pictures: int) -> tuple[Camera, ..
         K = np.array([[f, 0, 359.5], [0, f, 269.5], [0, 0, 1.0]])
         cameras.append(
             Camera(
-                name=f"picture {i + 1}", image_size_px=(720, 540), intrinsic_px=K, distortion=np.zeros(5),
+                name=f"picture {i + 1}",
+                image_size_px=(720, 540),
+                intrinsic_px=K,
+                distortion=np.zeros(5),
                 T_lab_cam=transform(R, eye),
-            )  # fmt: skip
+            )
         )
     return tuple(cameras)
 
