@@ -38,10 +38,16 @@ class Motions:
         return x_m[:, None] @ self.R.swapaxes(-1, -2) + self.t[:, :, None]
 
 
+OWN: dict[JointKind, int] = {"free": 6, "spherical": 3, "hinge": 1, "planar": 3, "prismatic": 1}
+"""How many unknowns each picture has of its own."""
+
+SHARED: dict[JointKind, int] = {"free": 0, "spherical": 3, "hinge": 4, "planar": 0, "prismatic": 2}
+"""How many unknowns all pictures share: centre, or axis and point."""
+
+
 def unknowns(kind: JointKind, pictures: int) -> int:
     """Count the unknowns of a joint: those of each picture but the reference, then the shared ones."""
-    each, shared = {"free": (6, 0), "spherical": (3, 3), "hinge": (1, 4), "planar": (3, 0), "prismatic": (1, 2)}[kind]
-    return each * (pictures - 1) + shared
+    return OWN[kind] * (pictures - 1) + SHARED[kind]
 
 
 def cross(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
@@ -72,7 +78,7 @@ def twists_of(kind: JointKind, motions: Motions, reference: int) -> Float[np.nda
     starts, pictures = motions.t.shape[:2]
     moving = [i for i in range(pictures) if i != reference]
     B = np.zeros((starts, pictures, 6, unknowns(kind, pictures)))
-    shared = B.shape[-1] - {"free": 0, "spherical": 3, "hinge": 4, "planar": 0, "prismatic": 2}[kind]
+    shared = B.shape[-1] - SHARED[kind]
     lever = cross(motions.centre)
     plane = across(motions.axis)
     for at, i in enumerate(moving):
@@ -102,7 +108,7 @@ def step(kind: JointKind, motions: Motions, change: Float[np.ndarray, "start unk
     """Change the unknowns by a finite step, along the twists of :func:`twists_of`."""
     starts, pictures = motions.t.shape[:2]
     moving = [i for i in range(pictures) if i != reference]
-    each = {"free": 6, "spherical": 3, "hinge": 1, "planar": 3, "prismatic": 1}[kind]
+    each = OWN[kind]
     own = np.zeros((starts, pictures, each))
     own[:, moving] = change[:, : each * len(moving)].reshape(starts, -1, each)
     shared = change[:, each * len(moving) :]
