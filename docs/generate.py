@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from gonio.formats.articulated import articulated_schema
 from gonio.formats.calibration_json import calibration_schema
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.pipeline.findings import KINDS
@@ -54,6 +55,7 @@ def pages() -> dict[Path, str]:
     return {
         REFERENCE / "findings.md": findings_page(),
         REFERENCE / "calibration-verdict.md": verdict_page(),
+        REFERENCE / "articulated.schema.json": json.dumps(articulated_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "report.schema.json": json.dumps(report_schema(), indent=2, ensure_ascii=False) + "\n",
     }

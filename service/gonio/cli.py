@@ -1,4 +1,4 @@
-"""The command line: gonio serve | worker | analyse | scale | ik | id | demo | models | boards | keys | bench | doctor."""
+"""The command line: gonio serve | worker | analyse | articulated | scale | ik | id | demo | models | boards | keys | bench."""
 
 import json
 import sys
@@ -171,6 +171,22 @@ def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an Inverse
     from gonio.pipeline.opensim_tools import run_kinematics
 
     _tell(run_kinematics(setup)[1])
+
+
+@app.command()
+def articulated(
+    folder: Annotated[Path, typer.Argument(help="Holds cameras.json or .toml, body.toml, and tracks.csv or .json.")],
+    output: Annotated[Path | None, typer.Option(help="The result. [default: motion.json in the folder]")] = None,
+) -> None:
+    """Find how the joints of a body moved between a few pictures of one moving camera."""
+    from gonio.pipeline.articulated import solve_folder
+
+    document = solve_folder(folder, output)
+    for joint in document.joints:
+        worst = max(picture.turn_sd_deg for picture in joint.pictures)
+        doubt = "; a different motion explains the pictures nearly as well" if joint.ambiguous else ""
+        print(f"{joint.part}: {joint.joint}, turns known to {worst:.2g}°, noise {joint.noise_px:.2g} px{doubt}")
+    print(output or folder / "motion.json")
 
 
 @app.command("id")

@@ -1,5 +1,6 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
+from gonio.records.articulated import Floor, JointKind, JointMotion, KnownLength, Part, check_pictures
 from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
     FIXED,
@@ -104,6 +105,7 @@ __all__ = [
     "CycleCurves",
     "EventTrain",
     "Finding",
+    "Floor",
     "FootEvents",
     "FootForces",
     "FootPaths",
@@ -118,8 +120,11 @@ __all__ = [
     "GroundForces",
     "ImagePoints",
     "Intrinsics",
+    "JointKind",
+    "JointMotion",
     "JointTree",
     "Judgement",
+    "KnownLength",
     "LabFrame",
     "LabPoints",
     "LabSource",
@@ -133,6 +138,7 @@ __all__ = [
     "NormCondition",
     "NormCurve",
     "Norms",
+    "Part",
     "PhaseTemplate",
     "PressureStream",
     "Rig",
@@ -154,5 +160,6 @@ __all__ = [
     "Volume",
     "Walk",
     "WalkTruth",
+    "check_pictures",
     "record",
 ]

@@ -1,0 +1,216 @@
+"""Bundle adjustment of one joint: the part's points and its motion together, from many starts at once.
+
+Unknown are the points X_k in the part's frame and the joint's own unknowns (:mod:`gonio.kernel.articulated.motion`);
+minimised is the Huber loss of the distance between marks and projections, plus the distance from the floor of what stands
+on it. Levenberg and Marquardt's method, with the points eliminated by the Schur complement: 3 × 3 a point, then one
+small system in the twists of the pictures, projected on the unknowns of the joint's kind. All starts go in one batch of numpy
+arrays, each with its own damping.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
+from gonio.records import JointKind
+
+HUBER = 3.0
+"""Residuals beyond this many standard deviations count linearly."""
+
+NEAREST_M = 1e-3
+"""A point nearer to the camera than this is as good as behind it."""
+
+
+@dataclass(frozen=True)
+class Sights:
+    """One part in all pictures, with the parent's motion taken away: the pinhole cameras, and the undistorted marks.
+
+    ``R_cam`` and ``o_m`` are the rotation ``R_cam_world`` and the centre of each picture's camera in the frame that the solver
+    works in, ``f_px`` (fx, fy). ``uv_px`` are marks relative to the principal point. ``used`` masks them; ``floor`` masks
+    what stands on the plane ``normal · x = offset_m``, ``floor_sd_m`` how well.
+    """
+
+    R_cam: Float[np.ndarray, "picture 3 3"]
+    o_m: Float[np.ndarray, "picture 3"]
+    f_px: Float[np.ndarray, "picture 2"]
+    uv_px: Float[np.ndarray, "picture point 2"]
+    used: Bool[np.ndarray, "picture point"]
+    floor: Bool[np.ndarray, "picture point"]
+    normal: Float[np.ndarray, "3"]
+    offset_m: float
+    floor_sd_m: float
+    sigma_px: float
+    reference: int
+
+    def rays(self) -> Float[np.ndarray, "picture point 3"]:
+        """Give the unit direction of each mark's ray; NaN where there is no mark."""
+        xy = self.uv_px / self.f_px[:, None]
+        d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.R_cam
+        return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+    def with_noise(self, sigma_px: float) -> "Sights":
+        """Expect another noise."""
+        return replace(self, sigma_px=sigma_px)
+
+
+def whitened(
+    sights: Sights, Y: Float[np.ndarray, "start picture point 3"]
+) -> tuple[Float[np.ndarray, "start picture point 3"], Float[np.ndarray, "start picture point 3 3"]]:
+    """Give each mark's residuals (u, v, height over the floor) by their standard deviations, and their slopes by Y.
+
+    What is not used is 0. A point behind its camera has infinite residuals.
+    """
+    Z = ((Y - sights.o_m[:, None])[..., None, :] @ sights.R_cam[:, None].swapaxes(-1, -2))[..., 0, :]
+    behind = Z[..., 2] < NEAREST_M
+    depth = np.where(behind, 1.0, Z[..., 2])
+    scale = (sights.f_px / sights.sigma_px)[:, None] / depth[..., None]
+    r = np.zeros_like(Y)
+    r[..., :2] = Z[..., :2] * scale - np.nan_to_num(sights.uv_px) / sights.sigma_px
+    r[behind, :2] = np.inf
+    slope = np.zeros((*Y.shape, 3))
+    R = sights.R_cam[:, None]
+    for row in range(2):
+        slope[..., row, :] = scale[..., row, None] * (R[..., row, :] - (Z[..., row] / depth)[..., None] * R[..., 2, :])
+    r[..., :2] = np.where(sights.used[..., None], r[..., :2], 0.0)
+    slope[..., :2, :] *= sights.used[..., None, None]
+    r[..., 2] = sights.floor * ((Y @ sights.normal - sights.offset_m) / sights.floor_sd_m)
+    slope[..., 2, :] = sights.floor[..., None] * sights.normal / sights.floor_sd_m
+    return r, slope
+
+
+def loss(r: Float[np.ndarray, "start picture point 3"], huber: float) -> Float[np.ndarray, " start"]:
+    """Sum Huber's loss of each mark's distance, and the floor's squares."""
+    size = np.hypot(r[..., 0], r[..., 1])
+    with np.errstate(invalid="ignore", over="ignore"):
+        robust = np.where(size <= huber, size * size, 2 * huber * size - huber * huber)
+    return (robust + r[..., 2] ** 2).sum(axis=(1, 2))
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations: points, twists of the pictures (6 each) and their coupling."""
+
+    xx: Float[np.ndarray, "start point 3 3"]
+    gx: Float[np.ndarray, "start point 3"]
+    tt: Float[np.ndarray, "start twist twist"]
+    gt: Float[np.ndarray, "start twist"]
+    tx: Float[np.ndarray, "start point twist 3"]
+
+
+def _normal(sights: Sights, motions: Motions, x_m: Float[np.ndarray, "start point 3"], huber: float) -> _Normal:
+    Y = motions.moved(x_m)
+    r, slope = whitened(sights, Y)
+    size = np.hypot(r[..., 0], r[..., 1])
+    weight = np.ones_like(r)
+    weight[..., :2] = np.minimum(1.0, huber / np.maximum(size, 1e-12))[..., None]
+    root = np.sqrt(weight)
+    r, slope = r * root, slope * root[..., None]
+    by_x = slope @ motions.R[:, :, None]
+    by_t = np.concatenate([-slope @ cross(Y), slope], axis=-1)
+    starts, pictures, points = size.shape
+    tt = np.zeros((starts, pictures, 6, pictures, 6))
+    flat = by_t.reshape(starts, pictures, points * 3, 6)
+    block = flat.swapaxes(-1, -2) @ flat
+    for i in range(pictures):
+        tt[:, i, :, i] = block[:, i]
+    return _Normal(
+        xx=(by_x.swapaxes(-1, -2) @ by_x).sum(axis=1),
+        gx=(by_x.swapaxes(-1, -2) @ r[..., None])[..., 0].sum(axis=1),
+        tt=tt.reshape(starts, 6 * pictures, -1),
+        gt=(by_t.swapaxes(-1, -2) @ r[..., None])[..., 0].sum(axis=2).reshape(starts, -1),
+        tx=(by_t.swapaxes(-1, -2) @ by_x).transpose(0, 2, 1, 3, 4).reshape(starts, points, -1, 3),
+    )
+
+
+def adjust(
+    kind: JointKind,
+    sights: Sights,
+    motions: Motions,
+    x_m: Float[np.ndarray, "start point 3"],
+    *,
+    iterations: int,
+    huber: float = HUBER,
+) -> tuple[Motions, Float[np.ndarray, "start point 3"], Float[np.ndarray, " start"]]:
+    """Improve each start by at most so many steps; gives motions, points and losses (infinite: a start that can't be).
+
+    A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
+    """
+    cost = loss(whitened(sights, motions.moved(x_m))[0], huber)
+    damping, calm = np.full(len(cost), 1e-3), np.zeros(len(cost), dtype=int)
+    for _ in range(iterations):
+        going = np.flatnonzero((calm < 2) & np.isfinite(cost) & (damping < 1e8))
+        if not len(going):
+            break
+        here, at_m = motions.pick(going), x_m[going]
+        change, dx = _solve(kind, sights, here, at_m, damping[going], huber)
+        tried, moved = step(kind, here, change, sights.reference), at_m + dx
+        new = loss(whitened(sights, tried.moved(moved))[0], huber)
+        better = new < cost[going]
+        calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
+        damping[going] *= np.where(better, 0.2, 6.0)
+        took = going[better]
+        cost[took], x_m = new[better], _put(x_m, took, moved[better])
+        motions = Motions(
+            *(
+                _put(old, took, fresh[better])
+                for old, fresh in zip(vars(motions).values(), vars(tried).values(), strict=True)
+            )
+        )
+    return motions, x_m, cost
+
+
+def _put(all_of: np.ndarray, where: np.ndarray, values: np.ndarray) -> np.ndarray:
+    out = all_of.copy()
+    out[where] = values
+    return out
+
+
+def _solve(
+    kind: JointKind,
+    sights: Sights,
+    motions: Motions,
+    x_m: Float[np.ndarray, "start point 3"],
+    damping: Float[np.ndarray, " start"],
+    huber: float,
+) -> tuple[Float[np.ndarray, "start unknown"], Float[np.ndarray, "start point 3"]]:
+    n = _normal(sights, motions, x_m, huber)
+    starts, points = x_m.shape[:2]
+    B = twists_of(kind, motions, sights.reference).reshape(starts, n.gt.shape[1], -1)
+    more = 1 + damping[:, None]
+    xx = n.xx.copy()
+    xx[..., range(3), range(3)] = xx[..., range(3), range(3)] * more[..., None] + 1e-9
+    inner = np.linalg.inv(xx)
+    coupled = n.tx @ inner  # (start, point, twist, 3)
+    wide = coupled.transpose(0, 2, 1, 3).reshape(starts, -1, 3 * points)
+    tx = n.tx.transpose(0, 2, 1, 3).reshape(starts, -1, 3 * points)
+    BT = B.swapaxes(-1, -2)
+    full = BT @ n.tt @ B
+    S = full - BT @ (wide @ tx.swapaxes(-1, -2)) @ B
+    diagonal = range(S.shape[-1])
+    S[:, diagonal, diagonal] += damping[:, None] * full[:, diagonal, diagonal] + 1e-9
+    right = -n.gt + (wide @ n.gx.reshape(starts, -1, 1))[..., 0]
+    change = np.linalg.solve(S, BT @ right[..., None])[..., 0]
+    twist = (B @ change[..., None])[..., 0]
+    dx = (inner @ (-n.gx - (n.tx.swapaxes(-1, -2) @ twist[:, None, :, None])[..., 0])[..., None])[..., 0]
+    return change, dx
+
+
+def dense_jacobian(
+    kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np.ndarray, "1 point 3"]
+) -> tuple[
+    Float[np.ndarray, "residual unknown"], Float[np.ndarray, "residual point3"], Float[np.ndarray, "residual twist"]
+]:
+    """Give the slopes of all whitened residuals of one solution: by the joint's unknowns, the points, and any twists."""
+    Y = motions.moved(x_m)
+    _, slope = whitened(sights, Y)
+    pictures, points = sights.used.shape
+    by_x = np.zeros((pictures, points, 3, points, 3))
+    by_t = np.zeros((pictures, points, 3, pictures, 6))
+    for k in range(points):
+        by_x[:, k, :, k] = slope[0, :, k] @ motions.R[0]
+    for i in range(pictures):
+        by_t[i, :, :, i] = np.concatenate([-slope[0, i] @ cross(Y[0, i]), slope[0, i]], axis=-1)
+    flat = by_t.reshape(pictures * points * 3, -1)
+    B = twists_of(kind, motions, sights.reference)[0].reshape(6 * pictures, -1)
+    return flat @ B, by_x.reshape(len(flat), -1), flat
