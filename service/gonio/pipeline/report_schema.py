@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 
 Level = Literal["good", "usable", "poor"]
 Severity = Literal["info", "warning", "serious"]
@@ -66,6 +66,24 @@ class CameraReport(_Model):
     rejected_fraction: Annotated[float, Field(description="Share of observations that contradicted the other cameras.")]
 
 
+class PersonReport(_Model):
+    """Somebody who was seen, in the order of being the subject; places in the lab as it was calibrated."""
+
+    number: Annotated[int, Field(description="What `keypoints.person` of a request would ask for.")]
+    subject: bool
+    from_s: float
+    to_s: float
+    seen_fraction: Annotated[
+        float, Field(description="Share of all cameras' looks, over the whole trial, in which the person was seen.")
+    ]
+    path_m: Annotated[float, Field(description="Diagonal of the floor rectangle in which the person moved.")]
+    mean_x_m: float
+    mean_z_m: float
+    nearest_to_subject_m: Annotated[
+        float | None, Field(description="How near the person came to the subject; null for the subject.")
+    ]
+
+
 class SegmentReport(_Model):
     """A body segment's length over the trial, after smoothing: bones don't change, so its scatter is error."""
 
@@ -95,6 +113,7 @@ class Reconstruction(_Model):
         float | None, Field(description="Mean reprojection error in held-out moments, by the calibration as it came.")
     ]
     held_out_after_px: Annotated[float | None, Field(description="The same with corrected cameras.")]
+    people: Annotated[list[PersonReport], Field(description="Everybody who was seen; empty for given keypoints.")]
     cameras: list[CameraReport]
     segments: list[SegmentReport]
     heading: str = "The lab is turned about its vertical so that the subject heads towards +X."
@@ -166,7 +185,7 @@ class Provenance(_Model):
 class GaitReport(_Model):
     """A gait report."""
 
-    schema_version: Literal["1.0"] = SCHEMA_VERSION
+    schema_version: Literal["1.1"] = SCHEMA_VERSION
     created: datetime
     verdict: Verdict
     findings: list[ReportFinding]

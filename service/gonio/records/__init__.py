@@ -35,6 +35,7 @@ from gonio.records.capture import Capture, View
 from gonio.records.finding import Finding, Severity
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
+from gonio.records.people import Person, Sightings
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.pressure import FootPressure, VirtualPressure
 from gonio.records.record import record
@@ -92,9 +93,11 @@ __all__ = [
     "Markers",
     "Measurement",
     "Motion",
+    "Person",
     "Rig",
     "RigCheck",
     "Severity",
+    "Sightings",
     "Steps",
     "Tasks",
     "Timebase",
