@@ -47,8 +47,8 @@ class KeypointParameters:
         Field(
             description="Who of several people is the subject. `auto`: of those seen in at least half as many pictures as the "
             "best seen one, of those who walk (if anybody does), the one nearest to the middle of the capture volume. A "
-            "number: the so-manyth in that order, as the report's `people` lists them. Two numbers: whose path comes nearest to "
-            "this point (x, z) of the calibrated lab's floor, metres."
+            "number: the so-manyth in that order, as the report's `people` lists them. Two numbers: whose path comes nearest "
+            "to this point (x, z) of the calibrated lab's floor, metres."
         ),
     ] = "auto"
 
