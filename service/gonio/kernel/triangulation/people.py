@@ -114,11 +114,11 @@ class _Scene:
         cameras = len(self._rig.cameras)
         places = np.full((len(tracks), cameras), -1)
         foretold = np.stack([track.foretell(frame, self.rate_hz) for track in tracks])
+        held = np.stack([next(reversed(track.places.values())) for track in tracks]) >= 0
         for camera in range(cameras):
             away_m = self._distances_m(camera, frame, foretold)
             # A camera that had lost the person must fit as well as one that finds it for the first time.
-            held = [_last_place(track)[camera] >= 0 for track in tracks]
-            limit_m = np.where(held, SOMEBODY_ELSE_M, SAME_PERSON_M)[:, None]
+            limit_m = np.where(held[:, camera, None], SOMEBODY_ELSE_M, SAME_PERSON_M)
             cost = np.where(away_m < limit_m, away_m, 1e3)
             for person, place in zip(*linear_sum_assignment(cost), strict=True):
                 if cost[person, place] < 1e3:
@@ -197,10 +197,6 @@ def _median(
     high = np.minimum(high, np.maximum(known - 1, 0)[..., None])
     middle = (np.take_along_axis(ordered, low, -1) + np.take_along_axis(ordered, high, -1))[..., 0] / 2
     return np.where(known >= fewest, middle, np.inf)
-
-
-def _last_place(track: _Track) -> Int[np.ndarray, " camera"]:
-    return track.places[max(track.places)]
 
 
 def join_tracks(tracks: Sequence[_Track], rate_hz: float) -> list[_Track]:
