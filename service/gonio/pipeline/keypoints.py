@@ -125,11 +125,11 @@ def find_keypoints(
         if seen.mean() < 0.9
     ]
     if len(people) > 1:
-        findings.append(_bystanders(people, keypoints.subject))
+        findings.append(tell_bystanders(people, keypoints.subject))
     return Outcome(keypoints, tuple(findings))
 
 
-def _bystanders(people: Sequence[Person], subject: int) -> Finding:
+def tell_bystanders(people: Sequence[Person], subject: int) -> Finding:
     """Tell how many others there were, how near the nearest of them came, and by which rule the subject was chosen."""
     own = people[subject].centre_lab_m[:, [0, 2]]
     apart_m = [
