@@ -12,6 +12,7 @@ from gonio.bench import Bench
 from gonio.bench.points.balancing import measure_balancing
 from gonio.bench.points.ladder import measure_error_bars, measure_ladder, measure_mismatch
 from gonio.bench.points.outliers import measure_outliers
+from gonio.bench.points.people import measure_people
 from gonio.bench.points.rates import measure_rates
 from gonio.bench.points.speed import measure_growth, measure_ratios
 from gonio.errors import GonioError
@@ -27,6 +28,7 @@ def run(build_dir: Path) -> dict[str, Any]:
         "burst_*, clean_*": lambda: measure_outliers(bench, build_dir),
         "real_*, sync_*": lambda: measure_balancing(bench, build_dir),
         "*_ratio_*": lambda: measure_ratios(bench, build_dir),
+        "people_*": lambda: measure_people(bench, build_dir),
         "default_mode_*": lambda: measure_rates(bench, build_dir),
     }
     for metrics, measure in parts.items():

@@ -29,6 +29,7 @@ from gonio.pipeline.report_schema import (
     CameraReport,
     GaitReport,
     InputFile,
+    PersonReport,
     Provenance,
     Reconstruction,
     ReportFinding,
@@ -107,6 +108,27 @@ def describe_camera(analysis: Analysis, camera: int) -> CameraReport:
     )
 
 
+def describe_person(keypoints: Keypoints, number: int) -> PersonReport:
+    """Describe where and when somebody was seen."""
+    person, subject = keypoints.people[number], keypoints.people[keypoints.subject]
+    way = person.centre_lab_m[person.met][:, [0, 2]]
+    times_s = person.points.timebase.times_s(person.place.shape[1])
+    first, last = person.span
+    apart_m = np.linalg.norm((person.centre_lab_m - subject.centre_lab_m)[:, [0, 2]], axis=1)
+    met = np.isfinite(apart_m).any() and number != keypoints.subject
+    return PersonReport(
+        number=number + 1,
+        subject=number == keypoints.subject,
+        from_s=round(float(times_s[first]), 3),
+        to_s=round(float(times_s[last]), 3),
+        seen_fraction=round(person.sightings / (len(person.place) * len(person.points.looks)), 4),
+        path_m=round(float(np.linalg.norm(np.ptp(way, axis=0))), 2),
+        mean_x_m=round(float(way[:, 0].mean()), 2),
+        mean_z_m=round(float(way[:, 1].mean()), 2),
+        nearest_to_subject_m=round(float(np.nanmin(apart_m)), 2) if met else None,
+    )
+
+
 def describe_reconstruction(analysis: Analysis) -> Reconstruction:
     """Describe how far the cameras agree, and how steady the segments are."""
     error_px = np.linalg.norm(analysis.raw.points.residual_px, axis=-1)
@@ -124,6 +146,7 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
         cameras_refined=analysis.refinement.kept,
         held_out_before_px=number(analysis.refinement.error_before_px),
         held_out_after_px=number(analysis.refinement.error_after_px),
+        people=[describe_person(analysis.keypoints, number) for number in range(len(analysis.keypoints.people))],
         cameras=[describe_camera(analysis, camera) for camera in range(len(analysis.capture.views))],
         segments=[
             SegmentReport(

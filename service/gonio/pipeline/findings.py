@@ -252,9 +252,10 @@ KINDS: dict[str, Kind] = {
     "bystanders": Kind(
         "info",
         "keypoints",
-        "{value:g} people were in view; the subject was taken to be the one whom most cameras see, nearest to the "
-        "middle of the capture volume.",
-        "Keep bystanders out of the picture: they hide the subject.",
+        "{value:g} other people were in view; the subject is {where}. Unless the request says who, it is the one who is well "
+        "seen, walks, and is nearest to the middle of the capture volume.",
+        "Keep bystanders out of the picture: they hide the subject. If it is the wrong person, ask for another one with "
+        "keypoints.person; the report lists them all.",
         "people",
     ),
     "keypoints-invalid": Kind(

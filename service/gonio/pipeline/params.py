@@ -42,6 +42,15 @@ class KeypointParameters:
             "this rate too, and the motion in between is the smoothest."
         ),
     ] = "default"
+    person: Annotated[
+        Literal["auto"] | Annotated[int, Field(ge=1, le=99)] | tuple[float, float],
+        Field(
+            description="Who of several people is the subject. `auto`: of those seen in at least half as many pictures as the "
+            "best seen one, of those who walk (if anybody does), the one nearest to the middle of the capture volume. A "
+            "number: the so-manyth in that order, as the report's `people` lists them. Two numbers: whose path comes nearest "
+            "to this point (x, z) of the calibrated lab's floor, metres."
+        ),
+    ] = "auto"
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -62,6 +62,24 @@ class CameraReport(ReportModel):
     rejected_fraction: Annotated[float, Field(description="Share of observations that contradicted the other cameras.")]
 
 
+class PersonReport(ReportModel):
+    """Somebody who was seen, in the order of being the subject; places in the lab as it was calibrated."""
+
+    number: Annotated[int, Field(description="What `keypoints.person` of a request would ask for.")]
+    subject: bool
+    from_s: float
+    to_s: float
+    seen_fraction: Annotated[
+        float, Field(description="Share of all cameras' looks, over the whole trial, in which the person was seen.")
+    ]
+    path_m: Annotated[float, Field(description="Diagonal of the floor rectangle in which the person moved.")]
+    mean_x_m: float
+    mean_z_m: float
+    nearest_to_subject_m: Annotated[
+        float | None, Field(description="How near the person came to the subject; null for the subject.")
+    ]
+
+
 class SegmentReport(ReportModel):
     """A body segment's length over the trial, after smoothing: bones don't change, so its scatter is error."""
 
@@ -91,6 +109,7 @@ class Reconstruction(ReportModel):
         float | None, Field(description="Mean reprojection error in held-out moments, by the calibration as it came.")
     ]
     held_out_after_px: Annotated[float | None, Field(description="The same with corrected cameras.")]
+    people: Annotated[list[PersonReport], Field(description="Everybody who was seen; empty for given keypoints.")]
     cameras: list[CameraReport]
     segments: list[SegmentReport]
     heading: str = "The lab is turned about its vertical so that the subject heads towards +X."

@@ -60,6 +60,7 @@ from gonio.records.ground_forces import (
 )
 from gonio.records.intrinsics import INTRINSIC_NAMES, Intrinsics, LensModel
 from gonio.records.markerset import CoordinatePrior, MarkerSet, Measurement
+from gonio.records.people import Person, Sightings
 from gonio.records.points import FILLED, MEASURED, MISSING, REJECTED, ImagePoints, LabPoints
 from gonio.records.pressure import FootPressure, PressureStream, VirtualPressure
 from gonio.records.record import record
@@ -139,11 +140,13 @@ __all__ = [
     "NormCurve",
     "Norms",
     "Part",
+    "Person",
     "PhaseTemplate",
     "PressureStream",
     "Rig",
     "RigCheck",
     "Severity",
+    "Sightings",
     "Steps",
     "Task",
     "TaskForces",

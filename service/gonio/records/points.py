@@ -1,7 +1,7 @@
 """Keypoints in the images and in the lab."""
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from gonio.errors import InputError
 from gonio.records.record import record
@@ -9,6 +9,11 @@ from gonio.records.timebase import Timebase
 
 MISSING, MEASURED, FILLED, REJECTED = 0, 1, 2, 3
 """How a lab point came to be: the values of ``LabPoints.origin``."""
+
+
+def look_frames(count: int, stride: int) -> Int[np.ndarray, " look"]:
+    """Give every ``stride``-th frame, from the first, and the last one."""
+    return np.unique(np.append(np.arange(0, count, stride), count - 1))
 
 
 @record
@@ -35,6 +40,11 @@ class ImagePoints:
             )
         if np.any(np.isnan(self.uv_px).any(axis=-1) & (self.confidence != 0)):
             raise InputError("A missing point has a confidence.", hint="Set the confidence of missing points to 0.")
+
+    @property
+    def looks(self) -> Int[np.ndarray, " look"]:
+        """The frames in which keypoints were looked for."""
+        return look_frames(self.uv_px.shape[1], self.stride)
 
     @property
     def sampled(self) -> "ImagePoints":

@@ -5,6 +5,8 @@ from a prediction that the caller makes from all cameras together. Which of the 
 decided in one camera, so that is the caller's choice among :meth:`PersonTracker.candidates`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gonio.vision.blazepose import LandmarkModel, PersonDetector, PersonLandmarks, Region
@@ -16,6 +18,9 @@ SIDE_CHANGE = (0.9, 1.05)
 """How much a crop may shrink or grow from one to the next; too large misleads the network more than too small."""
 SAME_PERSON_DISTANCE = 0.08
 """Two skeletons are one person if their landmarks are closer than this part of the crop's side, in the median."""
+
+SAME_PLACE = 0.1
+"""The detector found again whom we know if the hips are closer than this part of the crop's side: some 0.2 m."""
 
 
 class PersonTracker:
@@ -31,14 +36,16 @@ class PersonTracker:
         self._misses = 0
         self.region: Region | None = None
 
-    def candidates(self, frame: Frame) -> list[PersonLandmarks]:
-        """Find the people in a frame, the detector's surest first.
+    def candidates(self, frame: Frame, known: Sequence[Region] = ()) -> list[PersonLandmarks]:
+        """Find the people in a frame, the detector's surest first; not those in the regions that are ``known``.
 
         Each is located twice: the detector's region is rough, and a second pass in the region that the first landmarks
         ask for moves points by 2 to 9 px.
         """
         people: list[PersonLandmarks] = []
         for found in self._detector.detect(frame):
+            if any(_is_there(found.region, region) for region in known):
+                continue
             person = self._landmarks.locate(frame, found.region)
             if is_present(person):
                 person = self._landmarks.locate(frame, person.next_region)
@@ -85,6 +92,10 @@ def is_same_person(one: PersonLandmarks, other: PersonLandmarks) -> bool:
     """Say whether two skeletons in one picture are the same person's."""
     distance_px = np.median(np.linalg.norm(one.uv_px - other.uv_px, axis=-1))
     return bool(distance_px < SAME_PERSON_DISTANCE * min(one.region.side_px, other.region.side_px))
+
+
+def _is_there(found: Region, known: Region) -> bool:
+    return float(np.linalg.norm(found.centre_px - known.centre_px)) < SAME_PLACE * known.side_px
 
 
 def _limit_side(region: Region, last_side_px: float) -> Region:

@@ -82,9 +82,10 @@ def write_project(data, folder: Path) -> dict:  # noqa: ANN001
         ]
         poses = folder / "pose" / f"cam{number + 1:02d}_json"
         poses.mkdir(parents=True)
-        for frame, (uv, trust) in enumerate(zip(data["uv_px"][number], data["confidence"][number], strict=True)):
-            rows = np.nan_to_num(np.column_stack([uv, trust]))
-            people = [{"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}]
+        seen = np.nan_to_num(np.concatenate([data["uv_px"][number], data["confidence"][number][..., None]], axis=-1))
+        for frame, found in enumerate(seen if seen.ndim == 4 else seen[:, None]):
+            rows = found if seen.ndim == 3 else [person for person in found if person[:, 2].any()]
+            people = [{"person_id": [-1], "pose_keypoints_2d": person.ravel().tolist()} for person in rows]
             (poses / f"cam{number + 1:02d}.{frame:06d}.json").write_text(json.dumps({"version": 1.3, "people": people}))
     (folder / "calibration" / "Calib.toml").write_text("\n".join(lines))
     text = (Path(str(Pose2Sim.__file__)).parent / "Demo_SinglePerson" / "Config.toml").read_text(encoding="utf-8")

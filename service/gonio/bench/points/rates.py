@@ -20,15 +20,17 @@ from gonio.demo.recording import Recording, ensure_recording
 from gonio.errors import GonioError, ResourceError
 from gonio.formats.trc import read_trc
 from gonio.kernel.geometry.transforms import align, apply
+from gonio.kernel.triangulation.choice import rank_people
+from gonio.kernel.triangulation.people import find_people
 from gonio.pipeline import analyse
 from gonio.pipeline.capture import read_capture, read_rig
-from gonio.pipeline.keypoints import DETECTOR
+from gonio.pipeline.keypoints import DETECTOR, MIN_VISIBILITY
 from gonio.pipeline.run import CaptureFile, LocalRunner
 from gonio.records import Capture, ImagePoints
 from gonio.vision.blazepose import LandmarkModel, PersonDetector, Region
 from gonio.vision.model_cards import load_card
+from gonio.vision.people import track_people
 from gonio.vision.sessions import available_cores, open_session
-from gonio.vision.subject import track_subject
 from gonio.vision.tracking import PersonTracker
 from gonio.vision.video import iterate_frames
 from gonio.vision.weights import default_cache_dir, ensure_weights
@@ -123,7 +125,8 @@ def _locate_often(capture: Capture) -> ImagePoints:
     assert cards[1].keypoints is not None  # a landmark card has them: its own check
     names = cards[1].keypoints.names
     workers = available_cores()
-    tracked = track_subject(capture, detector, landmarks, names, workers=workers, on_progress=lambda _: None).points
+    sightings = track_people(capture, detector, landmarks, names, workers=workers, on_progress=lambda _: None)
+    tracked = rank_people(capture.rig, find_people(capture.rig, sightings, MIN_VISIBILITY))[0].points
     uv_px, rng = tracked.uv_px.copy(), np.random.default_rng(0)
     confidence = tracked.confidence.copy()
     for camera, view in enumerate(capture.views):

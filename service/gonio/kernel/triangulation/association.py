@@ -1,11 +1,11 @@
-"""Find the same person in several cameras by geometry, and choose the subject."""
+"""Find the same person in several cameras by geometry."""
 
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
-from gonio.kernel.geometry.cameras import focal_lengths_px, nearest_point_to_axes, projection_matrices
+from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices
 from gonio.kernel.triangulation.points import Method, triangulate
 from gonio.records import Rig, record
 
@@ -15,6 +15,9 @@ SAME_PERSON_M = 0.15
 Generous on purpose: a camera whose calibration has drifted by a degree is off by 70 mm at 4 m and still sees the subject;
 two people standing apart miss each other by more than half a metre in some camera.
 """
+
+SOMEBODY_ELSE_M = 2 * SAME_PERSON_M
+"""A camera that misses the person by this much follows somebody else: limbs that it confuses for some frames miss less."""
 
 FEWEST_KEYPOINTS = 4
 """Fewer keypoints that two cameras share prove nothing: three rays meet three rays by chance."""
@@ -65,14 +68,6 @@ def associate_people(
             people.append(person)
             used |= members
     return people
-
-
-def choose_subject(rig: Rig, people: list[AssociatedPerson]) -> AssociatedPerson | None:
-    """Choose the subject: whom most cameras see, and among those who stands nearest to the middle of the capture volume."""
-    if not people:
-        return None
-    middle = nearest_point_to_axes(rig)
-    return min(people, key=lambda p: (-p.cameras, float(np.linalg.norm((p.centre_lab_m - middle)[[0, 2]]))))
 
 
 def _propose(
