@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gonio.errors import CaptureError
+from gonio.errors import CaptureError, InputError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.geometry.transforms import transform
@@ -226,3 +226,10 @@ def test_zero_confidence_everywhere_is_an_error_with_a_remedy(trial: VirtualTria
     alone = darkened(trial, 0, len(trial.points.uv_px[0]), slice(1, None))
     with pytest.raises(CaptureError, match=r"cam1 0\.9"):
         check_keypoints(alone, trial.rig, CHOSEN)
+
+
+def test_keypoints_with_foreign_names_are_an_error_that_says_which(trial: VirtualTrial) -> None:
+    foreign = tuple(name.replace("left_hip", "LHip") for name in trial.points.keypoint_names)
+    with pytest.raises(InputError, match=r"no keypoint left_hip; there are: .*LHip") as caught:
+        check_keypoints(replace(trial.points, keypoint_names=foreign), trial.rig, CHOSEN)
+    assert caught.value.code == "keypoint-names"
