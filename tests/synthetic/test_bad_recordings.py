@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gonio.errors import CaptureError
+from gonio.errors import CaptureError, InputError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.geometry.transforms import transform
+from gonio.kernel.kinematics.clinical import clinical_sd_deg, find_clinical_angles
 from gonio.kernel.smoothing.filters import low_pass, median_filter
 from gonio.kernel.triangulation.fusion import LONGEST_SPAN_S
 from gonio.kernel.virtual_lab import PRESETS, film, make_rig, walk
+from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
-from gonio.pipeline.params import ReconstructionParameters
+from gonio.pipeline.motion import fit_motion
+from gonio.pipeline.params import Parameters, ReconstructionParameters, Subject
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.run import LocalRunner
 from gonio.records import FILLED, MEASURED, MISSING, Finding, ImagePoints, LabPoints, MarkerSet, Rig, VirtualTrial, Walk
@@ -114,6 +117,25 @@ def test_a_second_that_only_one_camera_saw_is_a_gap_and_said(trial: VirtualTrial
     assert (answer.points.origin[HALF : HALF + 60] == MISSING).all()
     # What is known is as right as ever; without fusion over time, a burst of outliers at the gap's edge stays.
     assert answer.error_mm(trial) < (20 if smoothing == "fusion" else 30)
+
+
+def test_the_body_is_fitted_around_a_dark_second_and_is_less_sure_at_its_edges(trial: VirtualTrial) -> None:
+    points = darkened(trial, HALF, HALF + 60, slice(1, None))
+    raw = reconstruct(points, trial.rig, CHOSEN).value
+    tracks = smooth(points, raw, CHOSEN).value
+    body = scale_to_subject(tracks, Subject(sex="male")).value
+    found = fit_motion(body, tracks, points, raw.rig, Parameters()).value
+    assert found.fit is not None
+    assert found.fit.converged
+    assert not found.distrusted
+    for angle in find_clinical_angles(found.model):
+        if angle.name == "knee_flexion":
+            sd_deg = clinical_sd_deg(found.motion, angle)
+            # The looks are every second frame: the last one before the dark may lie a frame into it.
+            assert np.isnan(sd_deg[HALF + 1 : HALF + 60]).all()
+            known = np.flatnonzero(np.isfinite(sd_deg))
+            edges = known[known < HALF + 30][-1], known[known > HALF + 30][0]
+            assert sd_deg[list(edges)].min() > np.nanmedian(sd_deg)
 
 
 @pytest.mark.parametrize("smoothing", ["fusion", "median"])
@@ -226,3 +248,10 @@ def test_zero_confidence_everywhere_is_an_error_with_a_remedy(trial: VirtualTria
     alone = darkened(trial, 0, len(trial.points.uv_px[0]), slice(1, None))
     with pytest.raises(CaptureError, match=r"cam1 0\.9"):
         check_keypoints(alone, trial.rig, CHOSEN)
+
+
+def test_keypoints_with_foreign_names_are_an_error_that_says_which(trial: VirtualTrial) -> None:
+    foreign = tuple(name.replace("left_hip", "LHip") for name in trial.points.keypoint_names)
+    with pytest.raises(InputError, match=r"no keypoint left_hip; there are: .*LHip") as caught:
+        check_keypoints(replace(trial.points, keypoint_names=foreign), trial.rig, CHOSEN)
+    assert caught.value.code == "keypoint-names"

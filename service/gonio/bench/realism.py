@@ -18,6 +18,7 @@ from gonio.errors import GonioError
 from gonio.formats.calibration import read_calibration
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import read_mot
+from gonio.formats.openpose import BODY_25B, gonio_names
 from gonio.formats.osim import read_osim
 from gonio.kernel.calibration.person import refine_on_person
 from gonio.kernel.geometry.cameras import focal_lengths_px, project, projection_matrices, undistort_rig
@@ -27,12 +28,8 @@ from gonio.kernel.virtual_lab import PRESETS, Detector, Effects, SelfOcclusion, 
 from gonio.records import ImagePoints, Rig, Timebase
 from gonio.resources import models_dir
 
-BODY_25B = (
-    "Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle RAnkle Neck Head "
-    "LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
-).split()
-_BONES = (("Hip", "Knee"), ("Knee", "Ankle"), ("Elbow", "Wrist"), ("Shoulder", "Elbow"), ("Heel", "BigToe"))
-LIMBS = [(side + start, side + end) for side in "LR" for start, end in _BONES]
+_SEGMENTS = (("hip", "knee"), ("knee", "ankle"), ("elbow", "wrist"), ("shoulder", "elbow"), ("heel", "big_toe"))
+LIMBS = [(f"{side}_{start}", f"{side}_{end}") for side in ("left", "right") for start, end in _SEGMENTS]
 SEEDS = 5
 SIGHT_M = 0.06  # residuals beyond five standard deviations of a good keypoint: another place, no scatter
 WEIGHT = 9.80665
@@ -95,10 +92,9 @@ def read_balancing() -> tuple[Rig, ImagePoints]:
     found = np.stack(tracks)
     confidence = found[..., 2].copy()
     uv_px = np.where(confidence[..., None] > 0, found[..., :2], np.nan)
-    names = tuple(BODY_25B)
     return rig, ImagePoints(
         camera_names=rig.names,
-        keypoint_names=names,
+        keypoint_names=gonio_names(BODY_25B),
         timebase=Timebase(rate_hz=60.0),
         uv_px=uv_px,
         confidence=confidence,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.errors import CaptureError
+from gonio.errors import CaptureError, InputError
 from gonio.kernel.calibration.exchange import find_exchange
 from gonio.kernel.calibration.movement import find_movement
 from gonio.kernel.triangulation.fusion import LONGEST_SPAN_S
@@ -24,9 +24,17 @@ def check_keypoints(keypoints: ImagePoints, rig: Rig, parameters: Reconstruction
     """Leave out what is no position, and make sure that the rest can give points in the lab.
 
     Raises:
+        InputError: ``keypoint-names``: there are no hips by the names that gonio knows.
         CaptureError: ``nothing-trusted``: no keypoint is trusted by two cameras at once; ``cameras-exchanged``: the videos of
             two cameras stand under each other's name.
     """
+    if absent := {"left_hip", "right_hip"}.difference(keypoints.keypoint_names):
+        raise InputError(
+            f"There is no keypoint {' and no keypoint '.join(sorted(absent))}; there are: "
+            f"{', '.join(keypoints.keypoint_names)}. The direction of walking is told by the hips.",
+            hint="Name keypoints as the cards in models/markersets do: left_hip, not LHip.",
+            code="keypoint-names",
+        )
     clean, findings = _leave_out_what_is_no_position(keypoints)
     trusted = clean.confidence >= max(parameters.min_confidence, np.finfo(float).tiny)
     if not (trusted.sum(axis=0) >= 2).any():

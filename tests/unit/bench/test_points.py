@@ -1,27 +1,10 @@
 """What the bench `reconstruction` does to recordings before anybody is measured on them."""
 
-from pathlib import Path
-
 import numpy as np
 
 from gonio.bench.points.balancing import _delayed
 from gonio.bench.points.rates import _distances_m
-from gonio.bench.points.rivals import our_names, renamed_card
 from gonio.bench.points.speed import _repeat_walk
-from gonio.bench.realism import BODY_25B
-from gonio.formats.markerset import read_markerset
-
-
-def test_keypoints_get_our_names() -> None:
-    names = our_names(BODY_25B)
-    assert len(set(names)) == 25
-    assert {"right_hip", "left_big_toe", "nose", "neck"} <= set(names)
-
-
-def test_the_card_follows_the_names(tmp_path: Path) -> None:
-    card = read_markerset(renamed_card(tmp_path))
-    assert set(card.keypoint_names) == set(our_names(BODY_25B))
-    assert ("right_hip", "right_knee") in [pair for m in card.measurements for pair in m.pairs]
 
 
 def test_a_late_camera_shows_what_was() -> None:

@@ -11,12 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gonio.bench import Bench
-from gonio.bench.points.chain import Points, as_marker_set, choose, find_motion, find_points
+from gonio.bench.points.chain import Points, choose, find_motion, find_points
 from gonio.bench.points.rivals import (
     MIN_CONFIDENCE,
     open_rivals,
-    renamed,
-    renamed_card,
     run_aniposelib,
     run_pose2sim,
     write_trial,
@@ -48,7 +46,6 @@ def measure_balancing(bench: Bench, build_dir: Path) -> None:
         ResourceError: the recording is not there.
     """
     rig, points = read_balancing()
-    points = renamed(points)
     chosen = choose(min_confidence=MIN_CONFIDENCE)
     refined = refine_on_person(rig, points, MIN_CONFIDENCE)
     bench.add("real_heldout_px", refined.error_after_px, "px", at_most=9.0)
@@ -57,15 +54,14 @@ def measure_balancing(bench: Bench, build_dir: Path) -> None:
     bias_px = np.linalg.norm(camera_bias_px(found.raw.points), axis=1)
     bench.add("real_camera_bias_px", bias_px.max(), "px", at_most=2.0)
     _measure_steadiness(bench, "points", found.smooth.xyz_lab_m, points, worst_pct=5.4)
-    card = as_marker_set(renamed_card(build_dir / "bench"))
-    _, motion = find_motion(points, found, chosen, (card,))
+    _, motion = find_motion(points, found, chosen)
     bench.add("real_pixels_trusted", float(not motion.distrusted), "1")
     if motion.distrusted:
         bench.notes.append(f"real_*_pixels: an analysis would not report this fit, since {motion.distrusted}.")
     motion = _as_fitted(motion)
     placed = marker_positions(motion.model, np.nan_to_num(motion.motion.values))
     _measure_steadiness(bench, "pixels", _in_order(placed, motion, points), points, worst_pct=1.0)
-    _measure_held_out_motion(bench, points, refined.rig, card.path)
+    _measure_held_out_motion(bench, points, refined.rig)
     try:
         _measure_rivals(bench, build_dir, rig, points)
     except GonioError as error:
@@ -110,7 +106,7 @@ def _errors_px(rig: Rig, points: ImagePoints, xyz: Track) -> Float[np.ndarray, "
     return np.where(points.confidence >= MIN_CONFIDENCE, error, np.nan)
 
 
-def _measure_held_out_motion(bench: Bench, points: ImagePoints, rig: Rig, card: Path) -> None:
+def _measure_held_out_motion(bench: Bench, points: ImagePoints, rig: Rig) -> None:
     """Hide every fourth observation, or a quarter of the 10-frame blocks of each camera, and see who foretells them.
 
     Points and body are found from the rest; the body's images carry its constant errors of camera and keypoint, the points'
@@ -124,7 +120,7 @@ def _measure_held_out_motion(bench: Bench, points: ImagePoints, rig: Rig, card: 
         )
         chosen = choose(min_confidence=MIN_CONFIDENCE, refine_cameras=False)
         found = find_points(seen, rig, chosen.reconstruction)
-        _, motion = find_motion(seen, found, chosen, (as_marker_set(card),))
+        _, motion = find_motion(seen, found, chosen)
         for way, error in _foretell(found, _as_fitted(motion), points, hidden).items():
             bench.add(f"real_hidden_{kind}_{way}_px", float(np.nanmean(error)), "px")
             bench.add(f"real_hidden_{kind}_{way}_median_px", float(np.nanmedian(error)), "px")

@@ -17,7 +17,6 @@ from gonio.bench.points.rivals import (
     MIN_CONFIDENCE,
     Rivals,
     open_rivals,
-    our_names,
     run_aniposelib,
     run_pose2sim,
     write_trial,
@@ -51,8 +50,7 @@ def measure_outliers(bench: Bench, build_dir: Path) -> None:
     folder = build_dir / "bench" / "outliers"
     straight = tuple(replace(camera, distortion=np.zeros(5)) for camera in recorded_rig.cameras)
     rig = replace(recorded_rig, cameras=straight)
-    names = our_names(recorded.keypoint_names)
-    recorded = replace(recorded, keypoint_names=names)
+    names = recorded.keypoint_names
     first = run_pose2sim(rivals, write_trial(folder / "recorded.npz", rig, recorded), folder / "recorded", names)
     truth = first.filtered[:-1]  # its filter loses the last frame
     for kind, seeds in SEEDS.items():
@@ -84,7 +82,7 @@ def _effects(kind: str) -> Effects:
 def _spoil(rig: Rig, truth: Truth, names: tuple[str, ...], effects: Effects, seed: int) -> ImagePoints:
     """Make keypoints of the true points."""
     anatomy, unhidden = read_anatomy(read_markerset(CARD)), np.zeros(truth.shape[:2], dtype=bool)
-    order = [our_names(read_markerset(CARD).keypoint_names).index(name) for name in names]
+    order = [read_markerset(CARD).keypoint_names.index(name) for name in names]
     in_card_order = np.empty_like(truth)
     in_card_order[:, order] = truth
     seen = [

@@ -2,15 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from gonio.bench.peers import peer_python, run_in_peer
-from gonio.bench.realism import BODY_25B
-from gonio.formats.markerset import read_markerset
+from gonio.formats.openpose import BODY_25B, gonio_names
 from gonio.records import ImagePoints, Rig
 from gonio.resources import models_dir
 
@@ -49,9 +48,9 @@ def open_rivals(build_dir: Path) -> Rivals:
 
 
 def write_trial(path: Path, rig: Rig, points: ImagePoints) -> Path:
-    """Write keypoints (with the names of BODY_25B or gonio's) and calibration for the scripts that run the rivals."""
+    """Write keypoints (those of BODY_25B) and calibration for the scripts that run the rivals."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    order = [points.keypoint_names.index(name) for name in our_names(BODY_25B)]
+    order = [points.keypoint_names.index(name) for name in gonio_names(BODY_25B)]
     np.savez(
         path,
         keypoint_names=BODY_25B,
@@ -81,7 +80,7 @@ def run_pose2sim(
     for kind in ("raw", "filtered"):
         theirs[kind] = np.full((frames, len(names), 3), np.nan)
         if kind in found:  # its filter loses the last frame
-            for column, name in enumerate(our_names([str(name) for name in found[f"{kind}_names"]])):
+            for column, name in enumerate(gonio_names([str(name) for name in found[f"{kind}_names"]])):
                 if name in names:
                     theirs[kind][: len(found[kind]), names.index(name)] = found[kind][:, column]
     seconds = json.loads((folder / "times.json").read_text())
@@ -94,34 +93,5 @@ def run_aniposelib(
     """Let aniposelib optimise a trial's points, in the order of our ``names``; also give the seconds that it took."""
     run_in_peer(rivals.aniposelib, "aniposelib_points", trial.resolve(), out.resolve(), str(MIN_CONFIDENCE))
     found = np.load(out)
-    order = [our_names(BODY_25B).index(name) for name in names]
+    order = [gonio_names(BODY_25B).index(name) for name in names]
     return found["xyz"][:, order], float(found["seconds"])
-
-
-def our_names(theirs: Sequence[str]) -> tuple[str, ...]:
-    """Give BODY_25B's keypoints the names that gonio's own networks use: ``RHip`` is ``right_hip``."""
-    card = read_markerset(CARD)
-    markers = dict(zip(card.keypoint_names, card.markers, strict=True))
-    sides = {"_r": "right_", "_l": "left_"}
-
-    def rename(name: str) -> str:
-        marker = markers.get(name) or name.lower()
-        return sides[marker[-2:]] + marker[:-2] if marker[-2:] in sides else marker
-
-    return tuple(rename(name) for name in theirs)
-
-
-def renamed(points: ImagePoints) -> ImagePoints:
-    """Give keypoints of BODY_25B our names."""
-    return replace(points, keypoint_names=our_names(points.keypoint_names))
-
-
-def renamed_card(folder: Path) -> Path:
-    """Write BODY_25B's marker set with our names, as a lab would bring its own."""
-    text = CARD.read_text(encoding="utf-8")
-    for theirs, ours in zip(BODY_25B, our_names(BODY_25B), strict=True):
-        text = text.replace(f"\n{theirs} =", f"\n{ours} =").replace(f'"{theirs}"', f'"{ours}"')
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "body25b.markerset.toml"
-    path.write_text(text, encoding="utf-8")
-    return path

@@ -12,13 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from gonio.bench import Bench
-from gonio.bench.points.chain import as_marker_set, choose, find_motion, find_points
+from gonio.bench.points.chain import choose, find_motion, find_points
 from gonio.bench.points.rivals import (
     CARD,
     MIN_CONFIDENCE,
     open_rivals,
-    renamed,
-    renamed_card,
     run_aniposelib,
     run_pose2sim,
     write_trial,
@@ -56,10 +54,8 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
     """
     rivals, folder = open_rivals(build_dir), build_dir / "bench" / "speed"
     rig, points = read_balancing()
-    points = renamed(points)
     frames, names = points.uv_px.shape[1], points.keypoint_names
     trial = write_trial(folder / "trial.npz", rig, points)
-    card = renamed_card(folder)
     ours: dict[str, list[float]] = {}
     theirs: dict[str, list[float]] = {}
     for _ in range(PAIRS):
@@ -71,8 +67,8 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
         for name, work in (
             ("triangulation", _triangulation(rig, points, undistorts=False)),
             ("triangulation_step", _triangulation(rig, points, undistorts=True)),
-            ("chain", lambda: _run_chain(rig, points, card, folder, pixels=True)),
-            ("chain_points", lambda: _run_chain(rig, points, card, folder, pixels=False)),
+            ("chain", lambda: _run_chain(rig, points, folder, pixels=True)),
+            ("chain_points", lambda: _run_chain(rig, points, folder, pixels=False)),
         ):
             ours.setdefault(name, []).append(_best_s(work))
     typical = {name: float(np.median(values)) for name, values in theirs.items()}
@@ -115,11 +111,10 @@ def measure_growth(bench: Bench) -> None:
 def tell_growth(frames: int, with_pixels: bool) -> None:
     """Go the way of so many frames; write seconds, the processor's seconds (both without compiling) and peak memory, MB."""
     with tempfile.TemporaryDirectory() as folder:
-        card = renamed_card(Path(folder))
-        _run_chain(*_repeat_walk(60), card, Path(folder), pixels=with_pixels)
+        _run_chain(*_repeat_walk(60), Path(folder), pixels=with_pixels)
         rig, points = _repeat_walk(frames)
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
-        _run_chain(rig, points, card, Path(folder), pixels=with_pixels)
+        _run_chain(rig, points, Path(folder), pixels=with_pixels)
         seconds, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kilobytes here
     sys.stdout.write(f"{seconds} {cpu_s} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6:.1f}")
@@ -133,7 +128,7 @@ def _repeat_walk(frames: int) -> tuple[Rig, ImagePoints]:
     turn = np.arange(frames) % (2 * there - 2)
     order = np.where(turn < there, turn, 2 * there - 2 - turn)
     points = replace(trial.points, uv_px=trial.points.uv_px[:, order], confidence=trial.points.confidence[:, order])
-    return trial.rig, renamed(points)
+    return trial.rig, points
 
 
 def _triangulation(rig: Rig, points: ImagePoints, *, undistorts: bool) -> Callable[[], object]:
@@ -151,11 +146,11 @@ def _triangulation(rig: Rig, points: ImagePoints, *, undistorts: bool) -> Callab
     return work
 
 
-def _run_chain(rig: Rig, points: ImagePoints, card: Path, folder: Path, *, pixels: bool) -> None:
+def _run_chain(rig: Rig, points: ImagePoints, folder: Path, *, pixels: bool) -> None:
     """Go from keypoints to files: points, the scaled body, its motion, TRC, MOT and the model."""
     chosen: Parameters = choose(min_confidence=MIN_CONFIDENCE, pixels=pixels, refine_cameras=False)
     found = find_points(points, rig, chosen.reconstruction)
-    body, motion = find_motion(points, found, chosen, (as_marker_set(card),))
+    body, motion = find_motion(points, found, chosen)
     write_opensim_files(found.smooth, motion, body.file, folder)
 
 
