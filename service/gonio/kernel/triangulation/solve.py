@@ -177,7 +177,7 @@ def cost_of(residual_px: Array, weight: Array, scale_px: Array, enough: float) -
 
 
 @njit(cache=True, error_model="numpy")
-def normal_equations(  # noqa: PLR0913 - what it fills is passed in: a compiled inner loop allocates nothing
+def normal_equations(
     projections: Array,
     residual_px: Array,
     depth_m: Array,
@@ -243,7 +243,7 @@ def damped_step(hessian: Array, damping: float, work: Workspace) -> tuple[bool, 
 
 
 @njit(cache=True, error_model="numpy")
-def refine_point(
+def refine_point(  # noqa: PLR0913 - what it fills is passed in
     projections: Array,
     focal_px: Array,
     uv_px: Array,
