@@ -16,14 +16,15 @@ def record(cls: type[T]) -> type[T]:
 
     A shape name that two fields share (``frame``, ``keypoint``) must have one length, or construction fails with the
     field and both shapes. Arrays are copied and made read-only, so neither the caller's array nor the record can change
-    behind the other's back. There is no ``==``: comparing arrays needs a tolerance (``eq=False``).
+    behind the other's back; one that is read-only already and owns its memory is kept as it is, so that records of a long
+    trial share what they have in common. There is no ``==``: comparing arrays needs a tolerance (``eq=False``).
     """
     validate = cls.__dict__.get("__post_init__")
 
     def __post_init__(self: Any) -> None:  # noqa: ANN401 - any record
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and (value.flags.writeable or not value.flags.owndata):
                 own = value.copy()
                 own.setflags(write=False)
                 object.__setattr__(self, field.name, own)

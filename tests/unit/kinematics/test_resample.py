@@ -49,3 +49,12 @@ def test_the_same_moments_give_the_same_motion() -> None:
     found = resample(given, times_s)
     np.testing.assert_allclose(found.values, given.values, atol=1e-12)
     np.testing.assert_array_equal(found.covariance, given.covariance)
+
+
+def test_the_covariances_of_a_long_trial_are_those_of_its_frames() -> None:
+    coarse, fine = np.arange(1500) / 30, np.arange(2999) / 60  # several blocks
+    found = resample(motion(coarse, coarse), fine)
+    assert found.covariance is not None
+    np.testing.assert_allclose(
+        found.covariance[:, 0, 0], 1.0 + np.arange(2999) / 2, rtol=1e-5
+    )  # shares are rounded to 1e-6

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
@@ -45,3 +47,17 @@ def test_names_are_counted() -> None:
 def test_impossible_rates(rate_hz: float) -> None:
     with pytest.raises(InputError, match="impossible"):
         Timebase(rate_hz=rate_hz)
+
+
+def test_records_share_what_cannot_change() -> None:
+    first = points()
+    assert replace(first, confidence=np.full((2, 5, 1), 0.5)).uv_px is first.uv_px
+
+
+def test_a_view_is_copied_though_it_is_read_only() -> None:
+    mine = np.zeros((2, 5, 1, 2))
+    view = mine.view()
+    view.setflags(write=False)
+    record = points(uv_px=view)
+    mine[:] = 7.0
+    assert record.uv_px.max() == 0.0

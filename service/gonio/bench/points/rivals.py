@@ -18,6 +18,10 @@ MIN_CONFIDENCE = 0.3
 """Of OpenPose's keypoints: Pose2Sim's default, and what gonio's rivals are given too."""
 
 
+Spent = tuple[float, float]
+"""Seconds: the clock's, and the processor's."""
+
+
 @dataclass(frozen=True)
 class Rivals:
     """Where the rivals run."""
@@ -28,11 +32,11 @@ class Rivals:
 
 @dataclass(frozen=True)
 class Pose2SimPoints:
-    """Pose2Sim's points (frame, keypoint, 3), raw and filtered, NaN for keypoints that it leaves out; seconds by step."""
+    """Pose2Sim's points (frame, keypoint, 3), raw and filtered, NaN for keypoints that it leaves out; what each step took."""
 
     raw: Float[np.ndarray, "frame keypoint 3"]
     filtered: Float[np.ndarray, "frame keypoint 3"]
-    seconds: dict[str, float]
+    spent: dict[str, Spent]
 
 
 def open_rivals(build_dir: Path) -> Rivals:
@@ -83,15 +87,15 @@ def run_pose2sim(
             for column, name in enumerate(gonio_names([str(name) for name in found[f"{kind}_names"]])):
                 if name in names:
                     theirs[kind][: len(found[kind]), names.index(name)] = found[kind][:, column]
-    seconds = json.loads((folder / "times.json").read_text())
-    return Pose2SimPoints(raw=theirs["raw"], filtered=theirs["filtered"], seconds=seconds)
+    spent = {name: (wall_s, cpu_s) for name, (wall_s, cpu_s) in json.loads((folder / "times.json").read_text()).items()}
+    return Pose2SimPoints(raw=theirs["raw"], filtered=theirs["filtered"], spent=spent)
 
 
 def run_aniposelib(
     rivals: Rivals, trial: Path, out: Path, names: Sequence[str]
-) -> tuple[Float[np.ndarray, "frame keypoint 3"], float]:
-    """Let aniposelib optimise a trial's points, in the order of our ``names``; also give the seconds that it took."""
+) -> tuple[Float[np.ndarray, "frame keypoint 3"], Spent]:
+    """Let aniposelib optimise a trial's points, in the order of our ``names``; also give what that took."""
     run_in_peer(rivals.aniposelib, "aniposelib_points", trial.resolve(), out.resolve(), str(MIN_CONFIDENCE))
     found = np.load(out)
     order = [gonio_names(BODY_25B).index(name) for name in names]
-    return found["xyz"][:, order], float(found["seconds"])
+    return found["xyz"][:, order], (float(found["seconds"][0]), float(found["seconds"][1]))

@@ -16,6 +16,7 @@ from gonio.bench.points.chain import choose, find_motion, find_points
 from gonio.bench.points.rivals import (
     CARD,
     MIN_CONFIDENCE,
+    Spent,
     open_rivals,
     run_aniposelib,
     run_pose2sim,
@@ -47,7 +48,8 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
     ``triangulation_ratio``: Pose2Sim's own calls of its triangulation, without its files, over ours with covariance, on one
     thread. ``triangulation_step_ratio``: its step as users run it. ``chain_ratio``: its triangulation, filtering and
     kinematics over ours from keypoints to files, the body fitted to the pixels; ``chain_points_ratio`` with inverse
-    kinematics of the points, which is what Pose2Sim does.
+    kinematics of the points, which is what Pose2Sim does. Ratios are of the processor's seconds, which a busy machine
+    hardly changes; the same of the clock's is ``…_wall`` and has no bound.
 
     Raises:
         ResourceError: the recording is not there, or Pose2Sim or aniposelib can't be run.
@@ -56,12 +58,12 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
     rig, points = read_balancing()
     frames, names = points.uv_px.shape[1], points.keypoint_names
     trial = write_trial(folder / "trial.npz", rig, points)
-    ours: dict[str, list[float]] = {}
-    theirs: dict[str, list[float]] = {}
+    ours: dict[str, list[Spent]] = {}
+    theirs: dict[str, list[Spent]] = {}
     for _ in range(PAIRS):
-        seconds = run_pose2sim(rivals, trial, folder / "pose2sim", names, STEPS).seconds
-        chain_s = seconds["triangulation"] + seconds["filtering"] + seconds["kinematics"]
-        for name, value in (*seconds.items(), ("chain", chain_s)):
+        spent = run_pose2sim(rivals, trial, folder / "pose2sim", names, STEPS).spent
+        chain = np.sum([spent[step] for step in ("triangulation", "filtering", "kinematics")], axis=0)
+        for name, value in (*spent.items(), ("chain", (float(chain[0]), float(chain[1])))):
             theirs.setdefault(name, []).append(value)
         theirs.setdefault("aniposelib", []).append(run_aniposelib(rivals, trial, folder / "aniposelib.npz", names)[1])
         for name, work in (
@@ -70,19 +72,23 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
             ("chain", lambda: _run_chain(rig, points, folder, pixels=True)),
             ("chain_points", lambda: _run_chain(rig, points, folder, pixels=False)),
         ):
-            ours.setdefault(name, []).append(_best_s(work))
-    typical = {name: float(np.median(values)) for name, values in theirs.items()}
-    for metric, their_s, our_name, worst in (
-        ("triangulation_ratio_pose2sim", typical["bare_triangulation"], "triangulation", 100.0),
-        ("triangulation_step_ratio_pose2sim", typical["triangulation"], "triangulation_step", None),
-        ("triangulation_ratio_aniposelib", typical["aniposelib"], "triangulation", None),
-        ("chain_ratio_pose2sim", typical["chain"], "chain", None),
-        ("chain_points_ratio_pose2sim", typical["chain"], "chain_points", 50.0),
+            ours.setdefault(name, []).append(_best(work))
+    their_s, our_s = ({name: np.median(spent, axis=0) for name, spent in side.items()} for side in (theirs, ours))
+    for metric, their_name, our_name, worst in (
+        ("triangulation_ratio_pose2sim", "bare_triangulation", "triangulation", 100.0),
+        ("triangulation_step_ratio_pose2sim", "triangulation", "triangulation_step", None),
+        ("triangulation_ratio_aniposelib", "aniposelib", "triangulation", None),
+        ("chain_ratio_pose2sim", "chain", "chain", None),
+        ("chain_points_ratio_pose2sim", "chain", "chain_points", 50.0),
     ):
-        bench.add(metric, their_s / float(np.median(ours[our_name])), "1", at_least=worst)
-    for name, values in ours.items():
-        bench.add(f"fps_{name}", frames / float(np.median(values)), "1/s")
-    bench.add("fps_chain_pose2sim", frames / typical["chain"], "1/s")
+        wall, cpu = their_s[their_name] / our_s[our_name]
+        bench.add(metric, float(cpu), "1", at_least=worst)
+        bench.add(f"{metric}_wall", float(wall), "1")
+    for name, (wall_s, cpu_s) in our_s.items():
+        bench.add(f"fps_{name}", frames / float(wall_s), "1/s")
+        bench.add(f"cpu_ms_a_frame_{name}", 1e3 * float(cpu_s) / frames, "ms")
+    bench.add("fps_chain_pose2sim", frames / float(their_s["chain"][0]), "1/s")
+    bench.add("cpu_ms_a_frame_chain_pose2sim", 1e3 * float(their_s["chain"][1]) / frames, "ms")
 
 
 def measure_growth(bench: Bench) -> None:
@@ -100,6 +106,7 @@ def measure_growth(bench: Bench) -> None:
             seconds, cpu_s, peak_mb = map(float, done.stdout.split()[-3:])
             grown.append((cpu_s / frames, peak_mb))
             bench.add(f"{kind}fps_{frames}", frames / seconds, "1/s")
+            bench.add(f"{kind}cpu_ms_a_frame_{frames}", 1e3 * cpu_s / frames, "ms")
             bench.add(f"{kind}peak_rss_mb_{frames}", peak_mb, "MB")
         if len(grown) == len(lengths):
             # Linear: a frame of the longest trial costs no more of the processor than one of the shortest, and a quarter.
@@ -116,8 +123,16 @@ def tell_growth(frames: int, with_pixels: bool) -> None:
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
         _run_chain(rig, points, Path(folder), pixels=with_pixels)
         seconds, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
-    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, kilobytes here
-    sys.stdout.write(f"{seconds} {cpu_s} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6:.1f}")
+    sys.stdout.write(f"{seconds} {cpu_s} {_peak_mb():.1f}")
+
+
+def _peak_mb() -> float:
+    """Give this process's own peak memory: what ``getrusage`` says begins with that of the process that started it."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        peak = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return float(peak.split()[1]) * 1024 / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS: bytes
 
 
 def _repeat_walk(frames: int) -> tuple[Rig, ImagePoints]:
@@ -154,11 +169,12 @@ def _run_chain(rig: Rig, points: ImagePoints, folder: Path, *, pixels: bool) -> 
     write_opensim_files(found.smooth, motion, body.file, folder)
 
 
-def _best_s(work: Callable[[], object], rounds: int = 5) -> float:
-    """Give the shortest time of a few runs; the first of all compiles."""
-    times: list[float] = []
+def _best(work: Callable[[], object], rounds: int = 5) -> Spent:
+    """Give the shortest times of a few runs, the clock's and the processor's; the first of all compiles."""
+    wall_s, cpu_s = [], []
     for _ in range(rounds):
-        start = time.perf_counter()
+        start_s, start_cpu_s = time.perf_counter(), time.process_time()
         work()
-        times.append(time.perf_counter() - start)
-    return min(times)
+        wall_s.append(time.perf_counter() - start_s)
+        cpu_s.append(time.process_time() - start_cpu_s)
+    return min(wall_s), min(cpu_s)

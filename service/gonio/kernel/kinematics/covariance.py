@@ -80,6 +80,7 @@ def add_covariance(
     over_blocks(propagate, len(q), _BLOCK)
     unknown = np.isnan(motion.values)
     covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+    covariance.setflags(write=False)  # so the record takes it as it is: it is the largest array of a motion
     return replace(motion, covariance=covariance)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg.blas import dtrmm
 
 from gonio.kernel.body.scaling import scale_model
 from gonio.kernel.body.tree import Tree, flatten
@@ -151,20 +152,23 @@ def frame_covariance(
     frames, size = equations.prior_gradient.shape
     factor = _factorise(trial, equations, data_share, 0.0, shared=False)
     assert isinstance(factor, Factor)
-    carried = factor.solve(_border_blocks(equations, data_share))
-    spread = carried @ np.linalg.cholesky(shared)
-    blocks = factor.inverse_diagonal() + spread @ spread.transpose(0, 2, 1)
-    by_frame = blocks.reshape(-1, FRAMES_PER_BLOCK, size, FRAMES_PER_BLOCK, size)
-    own = np.stack([by_frame[:, i, :, i] for i in range(FRAMES_PER_BLOCK)], axis=1)
-    return own.reshape(-1, size, size)[:frames]
+    carried = factor.solve(_border_blocks(equations, data_share)).reshape(-1, len(shared))
+    # Times the root of the shared covariance, in place: row-major, so that BLAS sees both transposed.
+    spread = dtrmm(1.0, np.linalg.cholesky(shared).T, carried.T, lower=0, overwrite_b=1).T.reshape(
+        -1, size, len(shared)
+    )
+    by_frame = factor.inverse_diagonal().reshape(-1, FRAMES_PER_BLOCK, size, FRAMES_PER_BLOCK, size)
+    own = np.stack([by_frame[:, i, :, i] for i in range(FRAMES_PER_BLOCK)], axis=1).reshape(-1, size, size)
+    return (own + spread @ spread.transpose(0, 2, 1))[:frames]
 
 
 def _border_blocks(equations: Equations, data_share: float) -> Float[np.ndarray, "block size shared"]:
     """Pad the border to whole blocks of frames."""
     frames, size, shared = equations.data.border.shape
     blocks = -(-frames // FRAMES_PER_BLOCK)
-    border = np.zeros((blocks * FRAMES_PER_BLOCK, size, shared))
-    border[:frames] = data_share * equations.data.border
+    border = np.empty((blocks * FRAMES_PER_BLOCK, size, shared))
+    np.multiply(equations.data.border, data_share, out=border[:frames])
+    border[frames:] = 0.0
     return border.reshape(blocks, FRAMES_PER_BLOCK * size, shared)
 
 

@@ -386,10 +386,14 @@ def _report(solved: _Solved, belief: _Belief, parts: list[_Part], start: Motion)
     """Put the parts together."""
     trial, state = solved.trial, solved.state
     frames, count = len(start.times_s), len(trial.model.coordinates.names)
-    full = np.zeros((frames, count, count))
-    full[:, trial.free[:, None], trial.free] = np.concatenate([part.covariance for part in parts])
+    full, first = np.zeros((frames, count, count)), 0
+    for part in parts:
+        full[first : first + len(part.q), trial.free[:, None], trial.free] = part.covariance
+        first += len(part.q)
     model = personalise(trial.model, trial.priors, state)
     blind = _blind(np.concatenate([part.seen for part in parts]), start.times_s)
+    full[blind] = np.nan
+    full.setflags(write=False)  # so the record takes it as it is
     converged = solved.converged and all(part.converged for part in parts)
     status = np.where(blind, TOO_FEW_MARKERS, SOLVED if converged else NOT_CONVERGED).astype(np.uint8)
     return PixelFit(
@@ -401,7 +405,7 @@ def _report(solved: _Solved, belief: _Belief, parts: list[_Part], start: Motion)
             status=status,
             iterations=np.concatenate([np.full(len(part.q), part.iterations) for part in parts]),
             residual_rms_m=start.residual_rms_m,
-            covariance=np.where(blind[:, None, None], np.nan, full),
+            covariance=full,
         ),
         model=model,
         log_scale=state.log_scale,

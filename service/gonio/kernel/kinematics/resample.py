@@ -4,12 +4,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.interpolate import make_interp_spline
 
 from gonio.records import TOO_FEW_MARKERS, Motion
 
 _NATURAL: Any = ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)])  # Any: what scipy is annotated with knows no derivatives
+
+
+_BLOCK = 1024  # frames whose covariances are interpolated at a time: a long trial's are the largest array there is
 
 
 def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
@@ -37,8 +40,7 @@ def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
     nearest = np.where(share < 0.5, after - 1, after)
     covariance = None
     if motion.covariance is not None:
-        weight = share[:, None, None]
-        covariance = (1.0 - weight) * motion.covariance[first] + weight * motion.covariance[second]
+        covariance = _between(motion.covariance, first, second, share)
     lost = np.isnan(values).all(axis=1)
     return replace(
         motion,
@@ -49,3 +51,19 @@ def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
         residual_rms_m=motion.residual_rms_m[nearest],
         covariance=covariance,
     )
+
+
+def _between(
+    covariance: Float[np.ndarray, "given coordinate coordinate"],
+    first: Int[np.ndarray, " frame"],
+    second: Int[np.ndarray, " frame"],
+    share: Float[np.ndarray, " frame"],
+) -> Float[np.ndarray, "frame coordinate coordinate"]:
+    """Interpolate linearly from the covariances of ``first`` to those of ``second``; read-only."""
+    found = np.empty((len(share), *covariance.shape[1:]))
+    for start in range(0, len(share), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        weight = share[some, None, None]
+        found[some] = (1.0 - weight) * covariance[first[some]] + weight * covariance[second[some]]
+    found.setflags(write=False)
+    return found

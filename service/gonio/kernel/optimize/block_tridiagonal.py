@@ -30,18 +30,20 @@ class Factor:
 
     def solve_lower(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
         """Give ``L⁻¹ right``, with ``H = L L'``."""
-        x = np.empty_like(right)
-        for i in range(len(right)):
-            carried = right[i] - self.below[i - 1] @ x[i - 1] if i else right[i]
-            x[i] = _solve_lower(self.diagonal[i], carried)
+        x = np.array(right, order="C")
+        for i in range(len(x)):
+            if i:
+                x[i] -= self.below[i - 1] @ x[i - 1]
+            _solve_lower(self.diagonal[i], x[i])
         return x
 
     def solve_upper(self, right: Float[np.ndarray, "block size column"]) -> Float[np.ndarray, "block size column"]:
         """Give ``L⁻ᵀ right``."""
-        x, last = np.empty_like(right), len(right) - 1
+        x, last = np.array(right, order="C"), len(right) - 1
         for i in range(last, -1, -1):
-            carried = right[i] - self.below[i].T @ x[i + 1] if i < last else right[i]
-            x[i] = _solve_lower(self.diagonal[i], carried, transposed=True)
+            if i < last:
+                x[i] -= self.below[i].T @ x[i + 1]
+            _solve_lower(self.diagonal[i], x[i], transposed=True)
         return x
 
     def inverse_diagonal(self) -> Float[np.ndarray, "block size size"]:
@@ -66,21 +68,22 @@ def factorise(
     Raises:
         numpy.linalg.LinAlgError: the matrix is not positive definite.
     """
-    L, W = np.empty_like(diagonal), np.empty_like(below)
+    L, W = np.empty_like(diagonal), np.array(below, order="C")
     for i in range(len(diagonal)):
         carried = diagonal[i] - W[i - 1] @ W[i - 1].T if i else diagonal[i]
         L[i] = cholesky(carried, lower=True, check_finite=False)
-        if i < len(below):
-            W[i] = _solve_lower(L[i], below[i].T).T
+        if i < len(below):  # W L' = below
+            dtrsm(1.0, L[i].T, W[i].T, lower=0, trans_a=1, overwrite_b=1)
     return Factor(L, W)
 
 
-def _solve_lower(L: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
-    """Give ``L⁻¹ right``, or ``L⁻ᵀ right``. BLAS itself: the blocks are so small that checks would take longer.
+def _solve_lower(L: np.ndarray, right: np.ndarray, *, transposed: bool = False) -> None:
+    """Replace ``right`` by ``L⁻¹ right``, or by ``L⁻ᵀ right``; both are row-major.
 
-    BLAS counts by columns, so a row-major ``L`` is the upper triangle of what it sees, and its transpose.
+    BLAS itself, without checks and copies: the blocks are so small that those take longer. BLAS counts by columns, so what it
+    sees of a row-major matrix is its transpose: it solves ``xᵀ Lᵀ = rightᵀ``, in place.
     """
-    return dtrsm(1.0, L.T, right, lower=0, trans_a=0 if transposed else 1)
+    dtrsm(1.0, L.T, right.T, side=1, lower=0, trans_a=1 if transposed else 0, overwrite_b=1)
 
 
 @dataclass(frozen=True)

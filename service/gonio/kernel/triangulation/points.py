@@ -86,7 +86,7 @@ def triangulate(
     weight[CAMERAS_USED.get(method, len(weight)) :] = 0.0
     seen = np.where(weight[..., None] > 0, uv_px, 0.0)
     points, cameras = uv_px.shape[1], uv_px.shape[0]
-    xyz, hessian = np.empty((points, 3)), np.zeros((points, 3, 3))
+    xyz, inverse = np.empty((points, 3)), np.empty((points, 3, 3))
     residual, status = np.zeros((points, cameras, 2)), np.empty(points, dtype=np.uint8)
     projections, focal_px = projections.astype(float, order="C"), focal_px.astype(float, order="C")
     by_point, weights = np.ascontiguousarray(seen.transpose(1, 0, 2)), np.ascontiguousarray(weight.T)
@@ -96,7 +96,7 @@ def triangulate(
     def solve(start: int, stop: int) -> None:
         solve_points(
             projections, focal_px, by_point, weights, robust, refined, scale_m if robust else np.inf,
-            start, stop, xyz, hessian, residual, status,
+            start, stop, xyz, inverse, residual, status,
         )  # fmt: skip
 
     over_blocks(solve, points, BLOCK_POINTS)
@@ -107,10 +107,10 @@ def triangulate(
     camera_weight = np.ones_like(weight)
     if robust:
         scale_px = focal_px[:, None] * scale_m / _depths_m(projections, xyz)
-        camera_weight = 1.0 / (1.0 + (residual_px**2).sum(axis=-1) / scale_px**2)
+        camera_weight = 1.0 / (1.0 + (residual_px[..., 0] ** 2 + residual_px[..., 1] ** 2) / scale_px**2)
     return Triangulated(
         xyz_lab_m=xyz,
-        covariance_m2=_covariance(hessian, residual_px, weight, camera_weight, unsolved),
+        covariance_m2=_covariance(inverse, residual_px, weight, camera_weight, unsolved),
         residual_px=residual_px,
         camera_weight=np.nan_to_num(camera_weight),
         status=status,
@@ -124,22 +124,18 @@ def _depths_m(
 
 
 def _covariance(
-    hessian: Float[np.ndarray, "point 3 3"],
+    inverse_hessian: Float[np.ndarray, "point 3 3"],
     residual_px: Float[np.ndarray, "camera point 2"],
     weight: Float[np.ndarray, "camera point"],
     camera_weight: Float[np.ndarray, "camera point"],
     unsolved: np.ndarray,
 ) -> Float[np.ndarray, "point 3 3"]:
     """Scale the inverse Hessians by the residual level of the whole batch, or of the point where that is higher."""
-    covariance = np.full(hessian.shape, np.nan)
-    solvable = ~unsolved & (np.abs(np.linalg.det(hessian)) > 0)
-    if not solvable.any():
-        return covariance
+    solvable = ~unsolved & np.isfinite(inverse_hessian[:, 0, 0])
     used = (weight > 0) & (camera_weight > 0.25)  # what the loss has thrown out tells nothing of the noise of the rest
-    squared = np.where(used, weight * np.nansum(residual_px**2, axis=-1), 0.0).sum(axis=0)
+    squared = np.where(used, weight * (residual_px[..., 0] ** 2 + residual_px[..., 1] ** 2), 0.0).sum(axis=0)
     freedom = 2.0 * used.sum(axis=0) - 3.0
     counted = solvable & (freedom > 0)
     level = squared[counted].sum() / freedom[counted].sum() if counted.any() else np.nan
     own = np.divide(squared, freedom, out=np.full(squared.shape, level), where=freedom > 0)
-    covariance[solvable] = np.linalg.inv(hessian[solvable]) * np.maximum(own, level)[solvable, None, None]
-    return covariance
+    return inverse_hessian * np.where(solvable, np.maximum(own, level), np.nan)[:, None, None]
