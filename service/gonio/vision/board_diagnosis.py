@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from gonio.errors import CaptureError, GonioError, InputError
+from gonio.errors import CaptureError, GonioError
 from gonio.records import Board
-from gonio.vision.board_finders import find_dictionary, open_finder
+from gonio.vision.board_finders import find_dictionary, open_finder, wrong_card
 
 Grey = UInt8[np.ndarray, "height width"]
 
@@ -43,13 +43,13 @@ def explain_missing(pictures: Sequence[Grey], board: Board, who: str) -> GonioEr
         ]
         seen = _other_checkerboard(pictures, swapped)
         return (
-            _wrong_card(board, f"a checkerboard of {seen[0]} × {seen[1]} inner corners")
+            wrong_card(board, f"a checkerboard of {seen[0]} × {seen[1]} inner corners")
             if seen
             else _nothing(board, who)
         )
     turned = replace(board, corners_across=board.corners_down, corners_down=board.corners_across)
     if board.corners_across != board.corners_down and _any_found(pictures, turned):
-        return _wrong_card(
+        return wrong_card(
             board, f"its counts the other way round: {board.corners_down} × {board.corners_across} inner corners"
         )
     counts = {name: max(_count_markers(grey, name) for grey in pictures) for name in FAMILIES}
@@ -58,8 +58,8 @@ def explain_missing(pictures: Sequence[Grey], board: Board, who: str) -> GonioEr
         return _nothing(board, who)
     family, own = most.rpartition("_")[0], board.dictionary.rpartition("_")[0]
     if family != own:
-        return _wrong_card(board, f"markers of the family {family}, not {own}")
-    return _wrong_card(board, f"{counts[most]} markers of {own}, but in other places than on the card")
+        return wrong_card(board, f"markers of the family {family}, not {own}")
+    return wrong_card(board, f"{counts[most]} markers of {own}, but in other places than on the card")
 
 
 def _any_found(pictures: Sequence[Grey], board: Board) -> bool:
@@ -88,14 +88,6 @@ def _other_checkerboard(pictures: Sequence[Grey], sizes: Sequence[tuple[int, int
         if found and (meta.shape[1], meta.shape[0]) in {*sizes, *((b, a) for a, b in sizes)}:
             shown.append((meta.shape[1], meta.shape[0]))
     return max(shown, key=lambda size: size[0] * size[1], default=None)
-
-
-def _wrong_card(board: Board, shown: str) -> InputError:
-    return InputError(
-        f"The pictures show another board than the card {board.name} says: {shown}.",
-        hint="Give the card of the board that was filmed; inner corners are one less than the squares, across and down.",
-        code="board-card-wrong",
-    )
 
 
 def _nothing(board: Board, who: str) -> CaptureError:

@@ -4,7 +4,9 @@ A finder is given a grey picture in which the board is seen from the front and, 
 :mod:`gonio.vision.boards` tries the picture's negative and mirror image and turns the result back.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import cv2
@@ -22,6 +24,9 @@ within a board that fills the picture."""
 AGREEING = 0.8
 """This share of the markers in a picture must be the card's, and in their places within their square."""
 
+ROW_SEEN = 20
+"""A row whose markers were seen so often, in five pictures or more, while the next one's never were, is the board's last."""
+
 SEARCH_SIDE_PX = 960
 """A checkerboard is searched for in a picture of at most this size, and its corners are then located in the whole one."""
 
@@ -35,6 +40,11 @@ class BoardFinder(Protocol):
         """Look for the board; ``thorough`` spends more time on a difficult picture."""
         ...
 
+    @property
+    def shown(self) -> Counter[int]:
+        """How many markers were seen in each row of squares, the one below the last included; for find_contradiction."""
+        ...
+
 
 def open_finder(board: Board) -> BoardFinder:
     """Make the finder for a board.
@@ -43,6 +53,38 @@ def open_finder(board: Board) -> BoardFinder:
         InputError: ``board-dictionary-unknown``, or ``board-dictionary-small`` if it has too few markers.
     """
     return CharucoFinder(board) if board.kind == "charuco" else CheckerboardFinder(board)
+
+
+def find_contradiction(board: Board, shown: Iterable[Counter[int]]) -> str:
+    """Say what in the pictures of a ChArUco board contradicts its card; empty where nothing does.
+
+    A card with too many rows, or one too few, fits the board everywhere else: its corners are found, those of a row that
+    does not exist at the paper's edge.
+
+    Args:
+        board: What the card says.
+        shown: What the finders of all cameras saw (:attr:`BoardFinder.shown`).
+    """
+    total: Counter[int] = sum(shown, Counter())
+    across, down = board.corners_across, board.corners_down
+    if total[down + 1] >= ROW_SEEN:
+        return f"the card says {across} × {down} inner corners, the pictures show more rows than that"
+    last = max((row for row in range(down + 1) if total[row]), default=down)
+    if last < down and total[last] >= ROW_SEEN:
+        return (
+            f"the card says {across} × {down} inner corners, the pictures never show "
+            f"the outermost {'row' if last == down - 1 else f'{down - last} rows'}"
+        )
+    return ""
+
+
+def wrong_card(board: Board, shown: str) -> InputError:
+    """Give the error of a card that says another board than the pictures show: ``board-card-wrong``."""
+    return InputError(
+        f"The pictures show another board than the card {board.name} says: {shown}.",
+        hint="Give the card of the board that was filmed; inner corners are one less than the squares, across and down.",
+        code="board-card-wrong",
+    )
 
 
 def find_dictionary(name: str) -> cv2.aruco.Dictionary:
@@ -99,11 +141,9 @@ class CharucoFinder:
         quick = cv2.aruco.DetectorParameters()
         quick.adaptiveThreshWinSizeStep = quick.adaptiveThreshWinSizeMax - quick.adaptiveThreshWinSizeMin
         self._quick = cv2.aruco.CharucoDetector(made, parameters, quick)
-        outer = np.array([board.square_m, board.square_m])  # from OpenCV's origin to ours
-        self._markers = {
-            int(number): np.asarray(corners)[:, :2].mean(axis=0) - outer
-            for number, corners in zip(np.asarray(made.getIds()).ravel(), made.getObjPoints(), strict=True)
-        }
+        self._markers = _marker_places(board)
+        self._beyond = self._markers | _row_beyond(board)
+        self.shown: Counter[int] = Counter()  # nothing: only a checkerboard of just this size is found
 
     def find(
         self, grey: UInt8[np.ndarray, "height width"], *, thorough: bool = False
@@ -134,13 +174,38 @@ class CharucoFinder:
         seen = np.isfinite(uv_px[:, 0])
         H, _ = cv2.findHomography(self._board.corners_board_m[seen, :2], uv_px[seen])
         pairs = zip(np.ravel(marker_ids).tolist(), markers, strict=True)
-        known = [(self._markers[number], marker) for number, marker in pairs if number in self._markers]
+        known = [(number, self._beyond[number], marker) for number, marker in pairs if number in self._beyond]
         if not known:
             return False
-        there = cv2.perspectiveTransform(np.array([[place] for place, _ in known]), H)[:, 0]
-        here = np.array([np.asarray(marker).reshape(4, 2).mean(axis=0) for _, marker in known])
+        there = cv2.perspectiveTransform(np.array([[place] for _, place, _ in known]), H)[:, 0]
+        here = np.array([np.asarray(marker).reshape(4, 2).mean(axis=0) for _, _, marker in known])
         near = np.linalg.norm(there - here, axis=1) < square_size_px(uv_px, self._board) / 1.5
-        return bool(near.sum() >= AGREEING * len(np.ravel(marker_ids)))
+        agreeing = [place for (_, place, _), is_near in zip(known, near, strict=True) if is_near]
+        if len(agreeing) < AGREEING * len(np.ravel(marker_ids)):
+            return False
+        self.shown.update(round(float(place[1] / self._board.square_m + 0.5)) for place in agreeing)
+        return True
+
+
+def _marker_places(board: Board) -> dict[int, np.ndarray]:
+    """Give the middle of each marker in the board's frame, by its number."""
+    made = open_charuco_board(board)
+    outer = np.array([board.square_m, board.square_m])  # from OpenCV's origin to ours
+    return {
+        int(number): np.asarray(corners)[:, :2].mean(axis=0) - outer
+        for number, corners in zip(np.asarray(made.getIds()).ravel(), made.getObjPoints(), strict=True)
+    }
+
+
+def _row_beyond(board: Board) -> dict[int, np.ndarray]:
+    """Give the markers that the board would have below its last row, if it had one row more than its card says."""
+    # The older layout begins with the other colour when the number of rows is even; the row beyond goes on as the board does.
+    needed = (board.corners_across + 1) * (board.corners_down + 2) // 2
+    if needed > len(find_dictionary(board.dictionary).bytesList) or board.legacy_pattern:
+        return {}
+    own = _marker_places(board)
+    longer = _marker_places(replace(board, corners_down=board.corners_down + 1))
+    return {number: place for number, place in longer.items() if number not in own}
 
 
 class CheckerboardFinder:
@@ -155,6 +220,7 @@ class CheckerboardFinder:
     def __init__(self, board: Board) -> None:
         self._board = board
         self._size = (board.corners_across, board.corners_down)
+        self.shown: Counter[int] = Counter()  # nothing: only a checkerboard of just this size is found
 
     def find(
         self, grey: UInt8[np.ndarray, "height width"], *, thorough: bool = False

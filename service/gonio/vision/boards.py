@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 
 from gonio.errors import CaptureError
 from gonio.records import Board, BoardTrack
-from gonio.vision.board_finders import BoardFinder, open_finder, square_size_px
+from gonio.vision.board_finders import BoardFinder, find_contradiction, open_finder, square_size_px, wrong_card
 from gonio.vision.sessions import available_cores
 from gonio.vision.video import iterate_frames
 
@@ -96,7 +96,7 @@ def find_boards(
 
     Raises:
         CaptureError: ``pictures-differ-in-size``.
-        InputError: The card is not valid, or a picture can't be read.
+        InputError: The card is not valid or not this board's (``board-card-wrong``), or a picture can't be read.
     """
     stop = Event()
     searches = [_Search(name, pictures, board, thorough, stop) for name, pictures in cameras.items()]
@@ -116,6 +116,8 @@ def find_boards(
                 future.result()
     finally:
         cv2.setNumThreads(threads)
+    if contradiction := find_contradiction(board, [search.finder.shown for search in searches]):
+        raise wrong_card(board, contradiction)
     return tuple(search.track() for search in searches)
 
 
@@ -141,7 +143,7 @@ class _Search:
         self._thorough = thorough
         self._stop = stop
         self.done = 0
-        self._finder: BoardFinder = open_finder(board)
+        self.finder: BoardFinder = open_finder(board)
         self._size_px: tuple[int, int] | None = None
         self._numbers: list[int] = []
         self._tried: set[int] = set()  # in every way: there is no more to try
@@ -190,7 +192,7 @@ class _Search:
 
     def _try(self, number: int, grey: Grey, looks: Sequence[Look], *, thorough: bool = False) -> None:
         for look in looks:
-            uv_px = self._finder.find(look.apply(grey), thorough=thorough)
+            uv_px = self.finder.find(look.apply(grey), thorough=thorough)
             if uv_px is not None:
                 uv_px = look.undo(uv_px, grey.shape[1])
                 self.found[number] = _Found(uv_px, look, measure_sharpness(grey, uv_px, self._board))

@@ -126,6 +126,23 @@ def test_why_no_board_was_found(card, code, words) -> None:
     assert not shows_other_layout(pictures, wanted)
 
 
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (1, "the card says 7 × 6 inner corners, the pictures never show the outermost row"),
+        (2, "never show the outermost 2 rows"),
+        (-1, "the card says 7 × 4 inner corners, the pictures show more rows than that"),
+    ],
+)
+def test_a_card_with_other_rows_than_the_board_is_refused_by_name(rows, words) -> None:
+    # All other corners are where such a card has them, and at the paper's edge there is something like a corner.
+    pictures, _ = shoot(BOARD)
+    with pytest.raises(InputError) as caught:
+        find(pictures, replace(BOARD, corners_down=BOARD.corners_down + rows))
+    assert caught.value.code == "board-card-wrong"
+    assert words in caught.value.message
+
+
 def test_a_checkerboard_of_another_size_is_named() -> None:
     pictures, _ = shoot(CHECKERS)
     reason = explain_missing(pictures, replace(CHECKERS, corners_across=9, corners_down=6), "cam")
