@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from gonio.bench import Bench
 from gonio.bench.peers import peer_python, run_in_peer
-from gonio.bench.points.rivals import CARD, MIN_CONFIDENCE, our_names
-from gonio.bench.realism import BODY_25B
+from gonio.bench.points.rivals import CARD, MIN_CONFIDENCE
 from gonio.errors import GonioError
 from gonio.formats.markerset import read_markerset
+from gonio.formats.openpose import BODY_25B, gonio_names
 from gonio.formats.osim import read_osim
 from gonio.kernel.geometry.transforms import rotation_about_y, transform
 from gonio.kernel.triangulation.people import find_people
@@ -64,7 +64,7 @@ def _add(
 
 def _score(company: Company, people: Sequence[Centres]) -> tuple[int, int, float]:
     """Count switches and ghosts, and give the share of the walkers' frames in which somebody found is with them."""
-    hips = [company.sightings.keypoint_names.index(name) for name in ("LHip", "RHip")]
+    hips = [company.sightings.keypoint_names.index(name) for name in ("left_hip", "right_hip")]
     truth = company.seen_lab_m[:, :, hips].mean(axis=2)
     known = np.zeros(truth.shape[:2], dtype=bool)
     switches = ghosts = 0
@@ -90,7 +90,7 @@ def _run_pose2sim(build_dir: Path, rig: Rig, company: Company, seed: int) -> lis
     folder = (build_dir / "bench" / "people" / str(seed)).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     seen = company.sightings
-    order = [seen.keypoint_names.index(name) for name in BODY_25B]
+    order = [seen.keypoint_names.index(name) for name in gonio_names(BODY_25B)]
     np.savez(
         folder / "trial.npz",
         keypoint_names=BODY_25B,
@@ -106,7 +106,7 @@ def _run_pose2sim(build_dir: Path, rig: Rig, company: Company, seed: int) -> lis
     found = np.load(folder / "pose2sim" / "people.npz")
     people: list[Centres] = []
     for number in range(int(found["people"])):
-        names = our_names([str(name) for name in found[f"names_{number}"]])
+        names = gonio_names([str(name) for name in found[f"names_{number}"]])
         hips = found[f"xyz_{number}"][:, [names.index("left_hip"), names.index("right_hip")]].mean(axis=1)
         centres = np.full((seen.uv_px.shape[1], 3), np.nan)
         frames = found[f"frames_{number}"]
