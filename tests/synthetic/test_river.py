@@ -130,6 +130,8 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         body=body,
         motion=motion,
         measured=NOTHING,
+        forces=None,
+        torques=None,
         gait=cycles,
     )
 
