@@ -72,6 +72,6 @@ def _numbers(values: Any) -> np.ndarray:  # noqa: ANN401 - TOML gives what the f
     return found
 
 
-def _pair(values: Any) -> tuple[float, float]:  # noqa: ANN401
+def _pair(values: Any) -> tuple[float, float]:  # noqa: ANN401 - TOML
     low, high = values
     return float(low), float(high)

@@ -10,6 +10,7 @@ import numpy as np
 from gonio.errors import CaptureError, InputError
 from gonio.kernel.calibration.exchange import find_exchange
 from gonio.kernel.calibration.movement import find_movement
+from gonio.kernel.smoothing.filters import runs
 from gonio.kernel.triangulation.fusion import LONGEST_SPAN_S
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import ReconstructionParameters
@@ -116,9 +117,8 @@ def _times_without_two_cameras(keypoints: ImagePoints, min_confidence: float) ->
     looks = keypoints.sampled
     sees = (looks.confidence >= max(min_confidence, np.finfo(float).tiny)).sum(axis=2) >= FEWEST_KEYPOINTS
     blind = sees.sum(axis=0) < 2
-    edges = np.flatnonzero(np.diff(np.r_[False, blind, False].astype(np.int8))).reshape(-1, 2)
     findings: list[Finding] = []
-    for first, last in edges:
+    for first, last in runs(blind):
         rate_hz, start_s = looks.timebase.rate_hz, looks.timebase.start_s
         if (last - first) / rate_hz <= LONGEST_SPAN_S:
             continue

@@ -18,8 +18,8 @@ from gonio.kernel.forces.torque import (
 )
 from gonio.kernel.kinematics.clinical import ClinicalAngle, find_clinical_angles
 from gonio.pipeline.findings import finding
-from gonio.pipeline.forces import CUTOFF_HZ, SLOW_HZ, complete, force_choice, smooth_motion
-from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.forces import CUTOFF_HZ, SLOW_HZ, force_choice, smooth_motion
+from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
@@ -62,9 +62,10 @@ def find_joint_torques(
     if covariance is not None:  # without it nobody knows how wide a band is
         rest = sample_errors(model, found.motion.times_s, q, covariance, smoother, wrenches_of)
     torques = find_torques(model, motion, forces, coefficients, rest)
-    weight_n = model.mass_kg * float(np.linalg.norm(model.gravity_m_s2))
     known = np.isfinite(torques.residual).all(axis=1)
-    residual = float(np.sqrt((torques.residual[known, :3] ** 2).sum(axis=1).mean())) / weight_n if known.any() else 0.0
+    residual = (
+        float(np.sqrt((torques.residual[known, :3] ** 2).sum(axis=1).mean())) / model.weight_n if known.any() else 0.0
+    )
     high = (finding("residuals-high", value=100 * residual),) if residual > LARGEST_RESIDUAL else ()
     return Outcome(torques, high)
 

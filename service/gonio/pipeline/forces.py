@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from gonio.errors import InputError
 from gonio.formats.force_coefficients import builtin_force_coefficients
@@ -12,7 +11,7 @@ from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
 from gonio.kernel.forces.estimate import ForceChoice, estimate_forces, measured_forces, with_plates
 from gonio.kernel.forces.whole_body import observe
 from gonio.pipeline.findings import finding
-from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import ForceParameters, Parameters
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
@@ -75,17 +74,8 @@ def smooth_motion(found: BodyMotion, task: str) -> SmoothMotion:
     return differentiate(found.motion.times_s, complete(found), CUTOFF_HZ.get(task, SLOW_HZ))
 
 
-def complete(found: BodyMotion) -> Float[np.ndarray, "frame coordinate"]:
-    """Give the motion with the coordinates that no keypoint ever tells of at their defaults."""
-    q = found.motion.values.copy()
-    unknown = np.isnan(q).all(axis=0)
-    q[:, unknown] = found.model.coordinates.default[unknown]
-    return q
-
-
 def judge_forces(forces: GroundForces, model: BodyModel) -> tuple[Finding, ...]:
     """Say how forces were found and how far that is right, and what makes them worse."""
-    weight_n = model.mass_kg * float(np.linalg.norm(model.gravity_m_s2))
     task = forces.task.replace("_", " ")
     estimated = next((method for method in forces.methods if method != "plates"), "")
     findings: list[Finding] = []
@@ -97,7 +87,7 @@ def judge_forces(forces: GroundForces, model: BodyModel) -> tuple[Finding, ...]:
         findings.append(finding("forces-outside-range", where=forces.fallback))
     if estimated and forces.task == "landing":
         findings.append(finding("forces-indicative", value=forces.expected_nm_kg))
-    loaded = np.nanmax(np.nan_to_num(forces.wrench[..., 1]), axis=0) > 0.06 * weight_n
+    loaded = np.nanmax(np.nan_to_num(forces.wrench[..., 1]), axis=0) > 0.06 * model.weight_n
     for side, carries in zip(FEET, loaded, strict=True):
         if not carries:
             findings.append(finding("forces-one-foot", where=side))

@@ -7,7 +7,6 @@ import numpy as np
 from gonio.kernel.body.forward import body_poses
 from gonio.kernel.gait.cycles import cut_cycles, leave_out_odd, normalise
 from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
-from gonio.kernel.gait.norms import GRAVITY_M_S2
 from gonio.kernel.gait.parameters import measure_gait
 from gonio.kernel.gait.paths import bridge_gaps, foot_paths
 from gonio.kernel.gait.progression import Bout, find_bouts
@@ -67,7 +66,7 @@ def analyse_gait(
         return Outcome(nothing, (finding("gait-no-cycle", where="the body model has no heels and toes"),))
     paths = bridge_gaps(paths)
     bouts = find_bouts(paths)
-    events = find_events(paths, bouts, measured, model.mass_kg)
+    events = find_events(paths, bouts, measured, model.weight_n)
     cycles = cut_cycles(events, paths, bouts)
     compared = {
         quantity: np.array([normalise(_curve(curves, quantity, FEET[c.foot]).values, c) for c in cycles])
@@ -88,13 +87,13 @@ def analyse_gait(
     return Outcome(analysis, judge_gait(analysis))
 
 
-def find_events(paths: FootPaths, bouts: tuple[Bout, ...], measured: Measured, mass_kg: float) -> GaitEvents:
+def find_events(paths: FootPaths, bouts: tuple[Bout, ...], measured: Measured, weight_n: float) -> GaitEvents:
     """Find the events from the movement, and from what measured a force often enough: plates before soles."""
     timebase = paths.timebase
     events = events_from_movement(paths, bouts)
     soles, plates = measured.pressure, measured.plates
     if soles is not None and np.median(np.diff(soles.times_s)) < 1.05 / LEAST_SOLE_HZ:
-        threshold_n = SOLE_SHARE * mass_kg * GRAVITY_M_S2
+        threshold_n = SOLE_SHARE * weight_n
         events = fuse(
             events_from_force(soles.times_s, soles.vertical_n, timebase, threshold_n), events, timebase.rate_hz
         )

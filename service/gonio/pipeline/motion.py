@@ -117,6 +117,14 @@ def fit_motion(
     return Outcome(found, (*judge_motion(motion), *cross_check(found)))
 
 
+def complete(found: BodyMotion) -> Float[np.ndarray, "frame coordinate"]:
+    """Give the motion with the coordinates that no keypoint ever tells of at their defaults: what they move weighs little."""
+    q = found.motion.values.copy()
+    unknown = _never_known(found.motion)
+    q[:, unknown] = found.model.coordinates.default[unknown]
+    return q
+
+
 def fit_points(body: SubjectBody, points: LabPoints) -> Motion:
     """Find the joint angles of every frame from the smoothed points, one frame after the other."""
     observed = in_marker_order(body.model, points)

@@ -20,7 +20,7 @@ from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, fin
 from gonio.kernel.virtual_lab.feet import mark_soles
 from gonio.pipeline.body import only_file
 from gonio.pipeline.findings import finding
-from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.run import CaptureFile, Outcome
 from gonio.records import FEET, Finding, FootForces, FootPressure, ForcePlates, PressureStream, record
@@ -40,7 +40,6 @@ LATE_S = 0.020
 GAIN_RANGE = (0.85, 1.15)
 NOT_ZERO_SHARE = 0.03
 LOW_RATE_HZ = 15.0
-GRAVITY_M_S2 = 9.80665
 
 
 @record
@@ -133,16 +132,11 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
 
 
 def body_course(motion: BodyMotion) -> BodyCourse | None:
-    """Give what synchronization needs of the movement; None where too little of it is known, or the model has no feet.
-
-    Coordinates that no keypoint tells of rest at their defaults: what they move weighs little.
-    """
+    """Give what synchronization needs of the movement; None where too little of it is known, or the model has no feet."""
     model, found = motion.model, motion.motion
     if not {f"{part}_{side[0]}" for part in ("calcn", "toes") for side in FEET} <= set(model.bodies.names):
         return None
-    q = found.values.copy()
-    unknown = np.isnan(q).all(axis=0)
-    q[:, unknown] = model.coordinates.default[unknown]
+    q = complete(motion)
     if np.isfinite(q).all(axis=1).sum() < FEWEST_FRAMES:
         return None
     smooth = differentiate(found.times_s, q, CUTOFF_HZ)
@@ -154,7 +148,7 @@ def body_course(motion: BodyMotion) -> BodyCourse | None:
         com_lab_m=whole.com_lab_m,
         heel_lab_m=places_m[:, [0, 4]],
         toe_lab_m=places_m[:, [1, 5]],
-        weight_n=model.mass_kg * GRAVITY_M_S2,
+        weight_n=model.weight_n,
     )
 
 

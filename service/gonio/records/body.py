@@ -145,6 +145,11 @@ class BodyModel:
         """The mass of all bodies."""
         return float(self.bodies.mass_kg.sum())
 
+    @property
+    def weight_n(self) -> float:
+        """The weight of all bodies."""
+        return self.mass_kg * float(np.linalg.norm(self.gravity_m_s2))
+
 
 @record
 class Tasks:

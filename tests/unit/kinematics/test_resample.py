@@ -27,7 +27,7 @@ def test_movement_without_jerk_is_interpolated_and_continued_exactly() -> None:
 
 def test_a_gait_is_interpolated_far_below_the_error_of_a_keypoint() -> None:
     coarse, fine = np.arange(60) / 30, np.arange(119) / 60
-    flexion = lambda t: np.deg2rad(30 + 25 * np.cos(2 * np.pi * t) + 8 * np.cos(8 * np.pi * t + 1))  # noqa: E731
+    flexion = lambda t: np.deg2rad(30 + 25 * np.cos(2 * np.pi * t) + 8 * np.cos(8 * np.pi * t + 1))  # noqa: E731 - one formula
     found = resample(motion(coarse, flexion(coarse)), fine)
     assert np.degrees(np.abs(found.values[:, 0] - flexion(fine)).max()) < 0.2
 

@@ -52,10 +52,10 @@ def main(trial: str, out: str, *steps: str) -> None:
     (folder / "times.json").write_text(json.dumps(times))
 
 
-def timed(work, total):  # noqa: ANN001, ANN201
+def timed(work, total):  # noqa: ANN001, ANN201 - any function, as it came
     """Count the seconds that a function takes."""
 
-    def run(*arguments, **named):  # noqa: ANN002, ANN003, ANN202
+    def run(*arguments, **named):  # noqa: ANN002, ANN003, ANN202 - any function
         start, start_cpu = time.perf_counter(), cpu_s()
         found = work(*arguments, **named)
         total[0] += time.perf_counter() - start
@@ -71,7 +71,7 @@ def cpu_s() -> float:
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
-def write_project(data, folder: Path) -> dict:  # noqa: ANN001
+def write_project(data, folder: Path) -> dict:  # noqa: ANN001 - an npz file
     """Write the keypoints and the calibration as Pose2Sim has them, and give its own demo's settings for them."""
     (folder / "calibration").mkdir(parents=True)
     lines = []

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from gonio.kernel.smoothing.filters import runs
+
 LEAST_N = 10.0
 """A foot that carries less is in the air, or its sole has noise."""
 
@@ -89,12 +91,6 @@ def phases(contacts: tuple[Contact, ...], frames: int) -> Float[np.ndarray, "fra
             since += lasts - (length - 1)
         phase[contact.begin : contact.end, contact.foot] = np.clip(since / max(lasts, 1.0), 0.0, 1.0)
     return phase
-
-
-def runs(condition: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
-    """Give where a condition holds: beginnings and ends (not included)."""
-    edges = np.flatnonzero(np.diff(np.r_[False, condition, False].astype(np.int8)))
-    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
 
 
 def _is_cut(known: Bool[np.ndarray, " frame"], begin: int, end: int) -> bool:

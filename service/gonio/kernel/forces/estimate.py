@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from gonio.errors import InputError
-from gonio.kernel.forces.contact import find_contacts, mark, phases, runs
+from gonio.kernel.forces.contact import find_contacts, mark, phases
 from gonio.kernel.forces.shear import (
     Levers,
     Load,
@@ -21,6 +21,7 @@ from gonio.kernel.forces.shear import (
 )
 from gonio.kernel.forces.task import Course, find_course, outside_range, recognise_task, sits
 from gonio.kernel.forces.whole_body import WholeBody, cop_in_lab
+from gonio.kernel.smoothing.filters import runs
 from gonio.records import FEET, FootForces, FootPressure, ForceCoefficients, ForceMethod, GroundForces, Task
 
 LONGEST_GAP_S = 0.16

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from gonio.kernel.smoothing.filters import runs
 from gonio.records import FEET, FootForces, ForcePlates
 
 LEAST_N = 20.0
@@ -107,8 +108,7 @@ def _contacts(plates: ForcePlates) -> list[_Contact]:
     found: list[_Contact] = []
     for plate in range(plates.force_lab_n.shape[1]):
         loaded = plates.force_lab_n[:, plate, 1] > LEAST_N
-        edges = np.flatnonzero(np.diff(np.r_[False, loaded, False].astype(np.int8)))
-        for begin, end in edges.reshape(-1, 2):
+        for begin, end in runs(loaded):
             begin_s, end_s = float(plates.times_s[begin]), float(plates.times_s[end - 1])
             if end_s - begin_s >= SHORTEST_S:
                 found.append(_Contact(plate, begin_s, end_s))

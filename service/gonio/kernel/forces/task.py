@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gonio.kernel.forces.contact import Contact, mark, median_frames, runs
+from gonio.kernel.forces.contact import Contact, mark, median_frames
 from gonio.kernel.forces.shear import OTHER_CONTACT_BW
 from gonio.kernel.forces.whole_body import WholeBody
+from gonio.kernel.smoothing.filters import runs
 from gonio.records import ForceCoefficients, Task
 
 FLIGHT_BW = 0.5

@@ -70,7 +70,7 @@ def observe(model: BodyModel, motion: SmoothMotion) -> WholeBody:
         T_lab_heel=heel,
         T_lab_toes=toes,
         ball_m=np.array(ball),
-        weight_n=float(model.mass_kg * np.linalg.norm(model.gravity_m_s2)),
+        weight_n=model.weight_n,
     )
 
 

@@ -20,7 +20,7 @@ from scipy.signal import find_peaks
 from scipy.special import ndtr
 
 from gonio.kernel.gait.progression import Bout
-from gonio.kernel.smoothing.filters import known_runs, low_pass
+from gonio.kernel.smoothing.filters import low_pass, runs
 from gonio.records import EventTrain, FootPaths, GaitEvents, Timebase
 
 METHOD = "O'Connor et al. 2007 near Zeni et al. 2008 (contact), Bruening & Ridge 2014 (toe-off)"
@@ -204,9 +204,8 @@ def _rise(speed_m_s: Float[np.ndarray, " frame"], level_m_s: float, near: int, r
 
 def _contacts(times_s: Float[np.ndarray, " sample"], loaded: Bool[np.ndarray, " sample"]) -> list[tuple[int, int]]:
     """List the first and last sample of each contact: short breaks closed, short contacts dropped."""
-    runs = [(start, stop - 1) for _, start, stop in known_runs(np.where(loaded, 0.0, np.nan)[:, None])]
     joined: list[tuple[int, int]] = []
-    for first, last in runs:
+    for first, last in ((start, stop - 1) for start, stop in runs(loaded)):
         if joined and times_s[first] - times_s[joined[-1][1]] < LONGEST_BREAK_S:
             joined[-1] = joined[-1][0], last
         else:

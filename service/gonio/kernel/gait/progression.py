@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 
-from gonio.kernel.smoothing.filters import known_runs
+from gonio.kernel.smoothing.filters import runs
 from gonio.records import FootPaths
 
 STRIDE_S = 1.2
@@ -54,9 +54,9 @@ def find_bouts(paths: FootPaths) -> tuple[Bout, ...]:
     points = np.concatenate(
         [heel_m.reshape(len(heel_m), -1), toe_m.reshape(len(toe_m), -1), paths.pelvis_lab_m], axis=1
     )
-    known = np.where(np.isfinite(points).all(axis=1), 0.0, np.nan)[:, None]
+    known = np.asarray(np.isfinite(points).all(axis=1))
     bouts: list[Bout] = []
-    for _, start, stop in known_runs(known):
+    for start, stop in runs(known):
         feet = toe_m[start:stop] - heel_m[start:stop]
         yaw = np.arctan2(feet[..., 2], feet[..., 0])
         facing = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1).mean(axis=1)
@@ -64,8 +64,7 @@ def find_bouts(paths: FootPaths) -> tuple[Bout, ...]:
         facing = uniform_filter1d(facing, window, axis=0, mode="nearest")
         yaw = np.unwrap(np.arctan2(facing[:, 1], facing[:, 0]))
         turning = np.abs(np.gradient(yaw) * rate_hz) if len(yaw) > 1 else np.zeros(1)
-        straight = np.where(turning < TURNING_RAD_S, 0.0, np.nan)[:, None]
-        for _, first, last in known_runs(straight):
+        for first, last in runs(np.asarray(turning < TURNING_RAD_S)):
             if last - first >= SHORTEST_BOUT_S * rate_hz:
                 bouts.append(_measure(paths, start + first, start + last, float(yaw[first:last].mean())))
     return tuple(bouts)

@@ -1,7 +1,7 @@
 """Median filter and zero-lag low-pass over frames: both leave gaps as they are and invent nothing past the ends."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.signal import butter, sosfiltfilt
 
 from gonio.errors import InputError
@@ -71,13 +71,18 @@ def _median_of_known(stack: np.ndarray) -> np.ndarray:
     return np.where(known > 0, (low + np.where(known % 2 == 0, high, low)) / 2, np.nan)
 
 
+def runs(condition: Bool[np.ndarray, " frame"]) -> list[tuple[int, int]]:
+    """List where a condition holds: the beginnings and ends (not included) of its runs."""
+    edges = np.flatnonzero(np.diff(np.r_[False, condition, False].astype(np.int8)))
+    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
+
+
 def known_runs(columns: Float[np.ndarray, "frame column"]) -> list[tuple[np.ndarray, int, int]]:
     """List the runs of frames without NaN as (columns, start, stop), columns with the same gaps together."""
     known = np.isfinite(columns)
     patterns, member_of = np.unique(known, axis=1, return_inverse=True)
-    runs: list[tuple[np.ndarray, int, int]] = []
+    found: list[tuple[np.ndarray, int, int]] = []
     for pattern in range(patterns.shape[1]):
         members = np.flatnonzero(member_of.ravel() == pattern)
-        edges = np.flatnonzero(np.diff(np.r_[False, patterns[:, pattern], False].astype(np.int8)))
-        runs.extend((members, int(start), int(stop)) for start, stop in edges.reshape(-1, 2))
-    return runs
+        found.extend((members, start, stop) for start, stop in runs(patterns[:, pattern]))
+    return found

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 
-from gonio.kernel.smoothing.filters import low_pass
+from gonio.kernel.smoothing.filters import low_pass, runs
 from gonio.records import FootPressure, record
 
 SEARCH_S = 0.25
@@ -274,11 +274,11 @@ def _evidence(need: Float[np.ndarray, " point"], soles: Float[np.ndarray, "point
 
 def _filtered_need(body: BodyCourse) -> tuple[tuple[float, float], CubicSpline] | None:
     """Give the need of force, low-passed, as a curve over the longest time without a gap."""
-    known = np.isfinite(body.need_n)
-    edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8))).reshape(-1, 2)
-    if edges.size == 0:
+    known = np.asarray(np.isfinite(body.need_n))
+    found = runs(known)
+    if not found:
         return None
-    begin, end = max(edges, key=lambda run: run[1] - run[0])
+    begin, end = max(found, key=lambda run: run[1] - run[0])
     if body.times_s[end - 1] - body.times_s[begin] < 2 * TRIM_S + 0.5:
         return None
     rate_hz = (end - 1 - begin) / (body.times_s[end - 1] - body.times_s[begin])

@@ -156,8 +156,7 @@ class _Scene:
         own = np.array([free[camera][i] if i >= 0 else -1 for camera, i in enumerate(person.candidate)])
         xyz = self._meet(frame, own[None])[0][0]
         skeleton = np.where(np.isfinite(xyz), xyz, person.centre_lab_m)
-        track = _Track(skeleton, np.zeros(3), frame, {frame: own}, {frame: person.centre_lab_m})
-        return track
+        return _Track(skeleton, np.zeros(3), frame, {frame: own}, {frame: person.centre_lab_m})
 
     def _distances_m(
         self, camera: int, frame: int, skeletons: Float[np.ndarray, "person keypoint 3"]
