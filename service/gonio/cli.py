@@ -222,8 +222,8 @@ def demo(
         bool,
         typer.Option(
             "--virtual",
-            help="Analyse a walk of the virtual laboratory instead, and print how far the report is from the truth. Needs no "
-            "network, weights or service: keypoints can't be uploaded, so the analysis begins after them.",
+            help="Upload and analyse a walk of the virtual laboratory instead, and print how far the report is from the "
+            "truth. Needs no network and no weights.",
         ),
     ] = False,
 ) -> None:

@@ -28,10 +28,10 @@ Document = dict[str, Any]
 """A JSON object of the service, as its OpenAPI page describes it."""
 
 Role = Literal[
-    "video", "calibration", "body_model", "marker_set", "pressure", "pressure_card", "force_plates",
+    "video", "keypoints", "calibration", "body_model", "marker_set", "pressure", "pressure_card", "force_plates",
     "sweep", "lens", "floor", "board", "optics", "floor_points", "previous",
 ]  # fmt: skip
-"""What a file is: the first seven in a session of a person, the others in a session of kind ``calibration``."""
+"""What a file is: the first eight in a session of a person, the others in a session of kind ``calibration``."""
 
 FINAL_STATES = ("succeeded", "failed", "cancelled")
 

@@ -1,47 +1,42 @@
-"""A session of the virtual laboratory, analysed like any other, with its truth beside the report.
+"""A session of the virtual laboratory, uploaded and analysed like any other, with its truth beside the report.
 
-The service takes videos, and no network finds a person in drawn capsules. So the laboratory answers for the stages that
-would have read files and looked at pictures, and everything after them is the analysis that a job runs.
+No network finds a person in drawn capsules. So the laboratory's keypoints are uploaded, as a lab uploads those of OpenPose,
+with the drawn videos, the cameras' calibration and the stream of the pressure soles.
 """
 
-import time
-from collections.abc import Callable
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
-from gonio.client import Client, Document
+from gonio.client import Client
+from gonio.demo.over_http import analyse_over_http, demo_service
 from gonio.formats.markerset import read_markerset
+from gonio.formats.openpose import write_poses
 from gonio.formats.osim import read_osim
 from gonio.formats.pressure_csv import write_pressure
-from gonio.http.server import serving
+from gonio.formats.toml_calibration import write_toml_calibration
 from gonio.kernel.kinematics.clinical import clinical_deg, find_clinical_angles
 from gonio.kernel.virtual_lab import PRESETS, SOLES, film, grow, make_rig, press, walk
 from gonio.pipeline import analyse
-from gonio.pipeline.keypoints import Keypoints
+from gonio.pipeline.folder import find_capture_files
 from gonio.pipeline.reconstruction import SEGMENTS
-from gonio.pipeline.report import key_lines, load_report
+from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import Angle, GaitReport
-from gonio.pipeline.run import CaptureFile, LocalRunner, Outcome, Progress, ReportFiles
-from gonio.records import Capture, Motion, View, VirtualTrial
+from gonio.pipeline.run import LocalRunner, ReportFiles
+from gonio.records import Camera, Motion, VirtualTrial, Walk
 from gonio.resources import models_dir
-from gonio.settings import Settings
-from gonio.terminal import progress_bar, stage_lines
-from gonio.vision.pictures import encode_jpeg
-from gonio.vision.render import draw_walk
-
-T = TypeVar("T")
+from gonio.vision.render import draw_walk, write_video
 
 SEX, STATURE_M, MASS_KG, SPEED_M_S = "female", 1.66, 61.0, 1.25
 RATE_HZ, DURATION_S = 60.0, 2.9
-PARAMETERS: dict[str, Any] = {
-    "subject": {"sex": SEX, "stature_m": STATURE_M, "mass_kg": MASS_KG},
-    "reconstruction": {"min_confidence": 0.3},  # the laboratory's confidences are OpenPose's
-}
+SUBJECT: dict[str, Any] = {"sex": SEX, "stature_m": STATURE_M, "mass_kg": MASS_KG}
+PARAMETERS: dict[str, Any] = {"keypoints": {"rate_hz": RATE_HZ}}
 JOINTS = ("hip", "knee", "ankle")
 PRESSURE_FILE = "soles.csv"
 """The walker's pressure stream, 20 Hz, by realistic soles: a clock that is 50 ms ahead, noise, a gain, gaps."""
@@ -60,58 +55,74 @@ class AngleError(NamedTuple):
     covered: float
 
 
-def run_virtual_demo(output: Path, console: Console) -> Path:
-    """Film, analyse, compare, and give the report's page."""
+def run_virtual_demo(output: Path, console: Console, *, videos: bool = True) -> Path:
+    """Film, upload, analyse, compare, and give the report's page; without ``videos``, keypoints are all that is uploaded."""
     console.print(
         "Recording: a walk of the virtual laboratory, with everything that goes wrong in pictures", soft_wrap=True
     )
-    with progress_bar(console) as advance:
-        trial, report, seconds = analyse_virtual(output / "report", advance)
-    send_pressure(output / "report" / PRESSURE_FILE, output / "data", console)
-    document = load_report(report.document)
-    for line in key_lines(document):
+    trial = film_walk()
+    files = write_session(trial, output / "session")
+    if videos:
+        console.print("  drawing its videos …", style="dim")
+        files = [*files, *write_videos(trial, output / "session")]
+    with demo_service(output, console) as gonio:
+        page, report = _analyse(gonio, files, output, console)
+    console.print(error_table(trial, report))
+    for line in error_lines(trial, report):
         console.print(line, soft_wrap=True)
-    console.print(error_table(trial, document))
-    for line in error_lines(trial, document):
-        console.print(line, soft_wrap=True)
-    console.print(stage_lines(seconds), style="dim", soft_wrap=True)
-    console.print(f"Report: [bold]{report.page.absolute()}[/]", soft_wrap=True)
-    return report.page
+    console.print(f"Report: [bold]{page.absolute()}[/]", soft_wrap=True)
+    return page
 
 
-def analyse_virtual(
-    output: Path,
-    on_progress: Callable[[str, float, float | None], None] | None = None,
-    *,
-    duration_s: float = DURATION_S,
-) -> tuple[VirtualTrial, ReportFiles, dict[str, float]]:
-    """Film a walk with pressure soles on and analyse it into a folder; also give the seconds of each stage."""
+def _analyse(gonio: Client, files: Iterable[Path], output: Path, console: Console) -> tuple[Path, GaitReport]:
+    session = gonio.create_session(name="Demo: a virtual walk", subject=SUBJECT)["id"]
+    paths = analyse_over_http(gonio, session, files, output / "report", console, PARAMETERS)
+    return paths["report.html"], load_report(paths["report.json"])
+
+
+def film_walk(duration_s: float = DURATION_S) -> VirtualTrial:
+    """Film the demo's walker with the paper's four cameras."""
     body = read_osim(models_dir() / "bodies" / f"fullbody_{SEX}.osim")
     walker = walk(grow(body, stature_m=STATURE_M, mass_kg=MASS_KG), SPEED_M_S)
     card = read_markerset(models_dir() / "markersets" / "blazepose33.toml")
-    effects = PRESETS["occluded"]
-    trial = film(walker, make_rig(), card, effects=effects, rate_hz=RATE_HZ, duration_s=duration_s)
-    output.mkdir(parents=True, exist_ok=True)
-    soles = output / PRESSURE_FILE
-    write_pressure(soles, press(walker, errors=SOLES["realistic"], duration_s=duration_s).pressure)
-    runner = _Laboratory(trial, output, on_progress)
-    report = analyse((CaptureFile(path=soles, name=soles.name, role="pressure"),), PARAMETERS, runner, output)
+    return film(walker, make_rig(), card, effects=PRESETS["occluded"], rate_hz=RATE_HZ, duration_s=duration_s)
+
+
+def write_session(trial: VirtualTrial, folder: Path) -> list[Path]:
+    """Write what a laboratory would upload: each camera's keypoints, the calibration, the pressure stream."""
+    folder.mkdir(parents=True, exist_ok=True)
+    points, calibration, soles = trial.points, folder / "calibration.toml", folder / PRESSURE_FILE
+    keypoints = [folder / f"{name}.zip" for name in points.camera_names]
+    for path, uv_px, confidence in zip(keypoints, points.uv_px, points.confidence, strict=True):
+        write_poses(path, uv_px, confidence)
+    write_toml_calibration(calibration, trial.rig)
+    duration_s = points.uv_px.shape[1] / trial.timebase.rate_hz
+    write_pressure(soles, press(trial.walk, errors=SOLES["realistic"], duration_s=duration_s).pressure)
+    return [*keypoints, calibration, soles]
+
+
+def write_videos(trial: VirtualTrial, folder: Path) -> list[Path]:
+    """Draw what each camera saw, a process a core."""
+    paths = [folder / f"{camera.name}.mp4" for camera in trial.rig_true.cameras]
+    with ProcessPoolExecutor() as pool:
+        times = list(trial.camera_times_s)
+        list(pool.map(_write_video, paths, trial.rig_true.cameras, [trial.walk] * len(paths), times))
+    return paths
+
+
+def _write_video(path: Path, camera: Camera, walk: Walk, times_s: Float[np.ndarray, " frame"]) -> None:
+    write_video(path, draw_walk(camera, walk, times_s), RATE_HZ)
+
+
+def analyse_virtual(
+    output: Path, *, duration_s: float = DURATION_S
+) -> tuple[VirtualTrial, ReportFiles, dict[str, float]]:
+    """Film a walk with pressure soles on and analyse it without a service; also give the seconds of each stage."""
+    trial = film_walk(duration_s)
+    write_session(trial, output / "session")
+    runner = LocalRunner()
+    report = analyse(find_capture_files(output / "session"), {"subject": SUBJECT, **PARAMETERS}, runner, output)
     return trial, report, runner.seconds
-
-
-def send_pressure(soles: Path, data_dir: Path, console: Console) -> Document:
-    """Upload the pressure stream to a service of its own, as a laboratory would, and give what the service saw in it."""
-    with serving(Settings(data_dir=data_dir.absolute(), port=0)) as url, Client(url) as gonio:
-        while not gonio.is_ready():
-            time.sleep(0.1)
-        session = gonio.create_session(name="Demo: a virtual walk", subject=PARAMETERS["subject"])
-        file = gonio.upload(session["id"], soles, role="pressure")
-    facts = file["facts"]
-    console.print(
-        f"Pressure: {file['name']}, {facts['samples']} samples at {facts['rate_hz']:.0f} Hz, accepted over HTTP",
-        soft_wrap=True,
-    )
-    return file
 
 
 def compare_angles(trial: VirtualTrial, report: GaitReport) -> list[AngleError]:
@@ -165,61 +176,6 @@ def error_lines(trial: VirtualTrial, report: GaitReport) -> list[str]:
         f"{error.covered:.0f} % of it within the 95 % band"
         for error in compare_angles(trial, report)
     ]
-
-
-class _Laboratory(LocalRunner):
-    """Runs an analysis whose cameras, capture and keypoints come from the virtual laboratory."""
-
-    def __init__(
-        self, trial: VirtualTrial, output: Path, on_progress: Callable[[str, float, float | None], None] | None
-    ) -> None:
-        super().__init__(on_progress)
-        self._trial = trial
-        self._output = output
-
-    def __call__(self, stage: str, work: Callable[[Progress], Outcome[T]]) -> T:
-        known: dict[str, Callable[[], Any]] = {
-            "calibration": lambda: self._trial.rig,
-            "capture": self._capture,
-            "keypoints": self._keypoints,
-        }
-        if stage in known:
-            return super().__call__(stage, lambda _: Outcome(known[stage]()))
-        return super().__call__(stage, work)
-
-    def _capture(self) -> Capture:
-        rig, timebase, frames = self._trial.rig, self._trial.timebase, self._trial.points.uv_px.shape[1]
-        views = tuple(
-            View(
-                camera_name=camera.name,
-                file_name="virtual",
-                path=self._output,
-                image_size_px=camera.image_size_px,
-                rate_hz=timebase.rate_hz,
-                frame_count=frames,
-            )
-            for camera in rig.cameras
-        )
-        return Capture(rig=rig, views=views, timebase=timebase, frame_count=frames)
-
-    def _keypoints(self) -> Keypoints:
-        """Give the keypoints, and a drawing of the walker for each camera to show them on."""
-        trial, folder = self._trial, self._output / "pictures"
-        folder.mkdir(exist_ok=True)
-        middle = trial.points.uv_px.shape[1] // 2
-        pictures: list[Path] = []
-        for camera, times_s in zip(trial.rig_true.cameras, trial.camera_times_s, strict=True):
-            (rgb,) = draw_walk(camera, trial.walk, times_s[middle : middle + 1])
-            path = folder / f"{camera.name}.jpg"
-            path.write_bytes(encode_jpeg(rgb))
-            pictures.append(path)
-        return Keypoints(
-            points=trial.points,
-            networks=(),
-            pictures=tuple(pictures),
-            picture_frame=middle,
-            picture_scale=(1.0,) * len(pictures),
-        )
 
 
 def _true_angles(trial: VirtualTrial) -> dict[tuple[str, str], Float[np.ndarray, " frame"]]:

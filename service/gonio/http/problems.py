@@ -92,6 +92,7 @@ KINDS: Mapping[str, Kind] = {
     "video-empty": Kind(422, "Video empty", "The video has fewer than two frames."),
     "video-damaged": Kind(422, "Video damaged", "A frame of the video can't be decoded."),
     "video-codec-unsupported": Kind(422, "Codec unsupported", "The video's compression can't be decoded here."),
+    "poses-unreadable": Kind(422, "Keypoints unreadable", "The file is no archive of OpenPose's files, one a frame."),
     "calibration-format-unknown": Kind(422, "Calibration format unknown", "No reader of gonio knows the file."),
     "calibration-unreadable": Kind(422, "Calibration unreadable", "The calibration is damaged."),
     "calibration-incomplete": Kind(422, "Calibration incomplete", "A camera of the calibration lacks a value."),

@@ -15,6 +15,7 @@ IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 PRESSURE_CARDS = ("pressure.toml", "pressure_card.toml")
 OTHERS: dict[str, Role] = {
     ".osim": "body_model",
+    ".zip": "keypoints",
     ".csv": "pressure",
     ".c3d": "force_plates",
     ".mot": "force_plates",

@@ -44,6 +44,10 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
 
         card = read_markerset(path)
         return {"marker_set": card.name, "keypoints": list(card.keypoint_names)}
+    if role == "keypoints":
+        from gonio.formats.openpose import count_frames, keypoint_count
+
+        return {"frames": count_frames(path), "keypoints": keypoint_count(path)}
     if role in ("pressure", "pressure_card", "force_plates"):
         return _probe_forces(path, role)
     if role in ("board", "optics", "floor_points", "previous"):

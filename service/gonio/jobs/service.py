@@ -342,7 +342,7 @@ def _refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> No
     if kind == "calibration":
         _refuse_without_sweep(files)
         return
-    videos = sum(file["role"] == "video" for file in files)
+    videos = max(sum(file["role"] == role for file in files) for role in ("video", "keypoints"))
     if not calibrations:
         raise CaptureError(
             "The session has no calibration.",
@@ -352,7 +352,7 @@ def _refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> No
     if videos < 2:
         raise CaptureError(
             f"The session has {'no video' if videos == 0 else 'one video'}; the analysis needs at least two.",
-            hint="Upload the videos of at least two calibrated cameras, then start the analysis again.",
+            hint="Upload the videos, or the keypoints, of at least two calibrated cameras, then start the analysis again.",
             code="too-few-videos",
             videos=videos,
         )

@@ -54,7 +54,7 @@ def find_calibration_files(folder: Path) -> list[CaptureFile]:
     found: list[CaptureFile] = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and OUR_FOLDER not in p.relative_to(folder).parts):
         suffix, stem = path.suffix.lower(), path.stem.lower()
-        if suffix in VIDEO_SUFFIXES | IMAGE_SUFFIXES:
+        if suffix in IMAGE_SUFFIXES.union(VIDEO_SUFFIXES):
             role, camera = _role_and_camera(path.relative_to(folder), suffix in IMAGE_SUFFIXES)
             found.append(CaptureFile(path=path, name=path.name, role=role, camera=camera))
         elif stem.removesuffix(".qca") in ROLE_NAMES:

@@ -7,6 +7,7 @@ import numpy as np
 
 from gonio.errors import CaptureError, InputError
 from gonio.formats.calibration import read_calibration, read_own_calibration
+from gonio.formats.openpose import count_frames
 from gonio.pipeline.findings import finding
 from gonio.pipeline.run import CaptureFile, Outcome
 from gonio.records import Calibration, Camera, Capture, Finding, Rig, Timebase, View
@@ -53,27 +54,43 @@ def judge_calibration(calibration: Calibration | None) -> tuple[Finding, ...]:
     return (finding("calibration-doubtful", where=reasons),)
 
 
-def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:
-    """Match the videos to the cameras and find the part of time that all of them cover.
+def read_capture(files: Sequence[CaptureFile], rig: Rig, poses_rate_hz: float | None = None) -> Outcome[Capture]:
+    """Match the videos, or the keypoints of another program, to the cameras and find the time that all of them cover.
+
+    Args:
+        files: The session's files. If some camera's keypoints are among them, all cameras' must be; their videos may be.
+        rig: The calibrated cameras.
+        poses_rate_hz: The rate of keypoints whose video is not there.
 
     Raises:
         CaptureError: ``too-few-videos`` with fewer than two.
-        InputError: ``video-camera-unknown``, ``video-camera-taken``, ``video-size-wrong``, ``video-rates-differ``, or what
-            opening the video says.
+        InputError: ``video-camera-unknown``, ``video-camera-taken``, ``video-size-wrong``, ``video-rates-differ``,
+            ``poses-incomplete``, ``poses-rate-missing``, or what opening a file says.
     """
-    videos = [file for file in files if file.role == "video"]
-    if len(videos) < 2:
+    videos = match_videos([file for file in files if file.role == "video"], rig)
+    poses = match_videos([file for file in files if file.role == "keypoints"], rig)
+    by_camera = poses or videos
+    if len(by_camera) < 2:
+        kind = "camera with keypoints" if poses else f"video{'' if len(videos) == 1 else 's'}"
         raise CaptureError(
-            f"The session has {len(videos)} video{'' if len(videos) == 1 else 's'}; a point in space needs two views.",
-            hint="Upload the synchronized videos of at least two calibrated cameras.",
+            f"The session has {len(by_camera)} {kind}; a point in space needs two views.",
+            hint="Upload the synchronized videos, or the keypoints, of at least two calibrated cameras.",
             code="too-few-videos",
         )
-    by_camera = match_videos(videos, rig)
+    if poses and (lacking := videos.keys() - poses.keys()):
+        raise InputError(
+            f"The keypoints of {', '.join(sorted(lacking))} are missing, though its video is there; other cameras have theirs.",
+            hint="Upload the keypoints of all cameras, or of none: then gonio finds them in the videos.",
+            code="poses-incomplete",
+        )
     findings = [finding("camera-without-video", where=name) for name in rig.names if name not in by_camera]
     cameras, infos, used = [], [], []
     for camera in rig.cameras:
         if camera.name in by_camera:
-            info = probe_video(by_camera[camera.name].path)
+            pose, video = poses.get(camera.name), videos.get(camera.name)
+            info = probe_video(video.path) if video else None
+            info = _poses_info(pose, camera, info, poses_rate_hz) if pose else info
+            assert info is not None  # a camera in `by_camera` has one of the two
             fitted, size_findings = fit_camera_to_video(camera, info)
             cameras.append(fitted)
             infos.append(info)
@@ -86,11 +103,12 @@ def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:
         View(
             camera_name=camera.name,
             file_name=file.name,
-            path=file.path,
+            path=videos[camera.name].path if camera.name in videos else None,
             image_size_px=info.image_size_px,
             rate_hz=info.rate_hz,
             frame_count=info.frame_count,
             frame_step=step,
+            poses=poses[camera.name].path if camera.name in poses else None,
         )
         for camera, file, info, step in zip(cameras, used, infos, steps, strict=True)
     )
@@ -100,8 +118,32 @@ def read_capture(files: Sequence[CaptureFile], rig: Rig) -> Outcome[Capture]:
     return Outcome(capture, (*findings, *time_findings))
 
 
+def _poses_info(poses: CaptureFile, camera: Camera, video: VideoInfo | None, rate_hz: float | None) -> VideoInfo:
+    """Describe the pictures that keypoints were found in: as their video says, else as calibration and request say."""
+    frames = count_frames(poses.path)
+    if video is not None:
+        return replace(video, frame_count=min(frames, video.frame_count))
+    if rate_hz is None:
+        raise InputError(
+            f"The rate of {poses.name} is not known: keypoint files don't tell it.",
+            hint="Start the analysis with the parameter keypoints.rate_hz, or upload the videos too.",
+            code="poses-rate-missing",
+        )
+    return VideoInfo(
+        file_name=poses.name,
+        codec="",
+        image_size_px=camera.image_size_px,
+        rotation_deg=0,
+        frame_count=frames,
+        rate_hz=rate_hz,
+        duration_s=frames / rate_hz,
+        is_variable_rate=False,
+        largest_deviation_s=0.0,
+    )
+
+
 def match_videos(videos: Sequence[CaptureFile], rig: Rig) -> dict[str, CaptureFile]:
-    """Give each video's camera: the one it was uploaded for, else the one whose name is (in) the file's name."""
+    """Give each file's camera (a video's or keypoints'): the one it is for, else the one whose name is (in) the file's name."""
     by_camera: dict[str, CaptureFile] = {}
     for video in videos:
         stem = video.name.rsplit(".", 1)[0].casefold()

@@ -137,7 +137,7 @@ def describe_reconstruction(analysis: Analysis) -> Reconstruction:
         method=analysis.parameters.reconstruction.method,
         smoothing=analysis.parameters.reconstruction.smoothing,
         looks_hz=round(analysis.keypoints.points.sampled.timebase.rate_hz, 3),
-        keypoint_model=("virtual laboratory", *analysis.keypoints.networks)[-1],
+        keypoint_model=("uploaded", *analysis.keypoints.networks)[-1],
         observations=int(np.isfinite(error_px).sum()),
         reprojection_mean_px=number(mean(error_px)),
         reprojection_median_px=number(median(error_px)),
@@ -218,8 +218,7 @@ def describe_provenance(files: Sequence[CaptureFile], parameters: Parameters, mo
     packages = ("numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless")
     return Provenance(
         inputs=[
-            InputFile(name=f.name, role=f.role, sha256=sha256_of(f.path), size_bytes=f.path.stat().st_size)
-            for f in files
+            InputFile(name=f.name, role=f.role, sha256=sha256_of(f.path), size_bytes=size_of(f.path)) for f in files
         ],
         parameters=parameters_document(parameters),
         software={
@@ -266,8 +265,16 @@ def describe_finding(finding: Finding) -> ReportFinding:
     )
 
 
+def size_of(path: Path) -> int:
+    """Give the bytes of a file, or of a folder's files."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
+
+
 def sha256_of(path: Path) -> str:
-    """Give the sha256 of a file, in hex."""
+    """Give the sha256 of a file, in hex; of a folder, that of the lines ``hash  name`` of its files, sorted by name."""
+    if path.is_dir():
+        lines = "".join(f"{sha256_of(file)}  {file.name}\n" for file in sorted(path.iterdir()) if file.is_file())
+        return hashlib.sha256(lines.encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

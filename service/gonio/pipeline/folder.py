@@ -3,20 +3,32 @@
 from pathlib import Path
 
 from gonio.errors import InputError
-from gonio.pipeline.run import CaptureFile
+from gonio.formats.openpose import holds_poses
+from gonio.pipeline.run import CaptureFile, TrialRole
 
-VIDEO_SUFFIXES = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
-CALIBRATION_SUFFIXES = (".qca.txt",)
-MARKER_SET_SUFFIX = ".markerset.toml"
-PRESSURE_CARD_SUFFIX = "pressure.toml"
-PLATE_SUFFIXES = {".c3d", ".mot", ".sto"}
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts")
+CALIBRATION_SUFFIXES = (".qca.txt", "calib.toml", "calibration.toml", "calibration.json", "calibration.yaml")
+ENDINGS: tuple[tuple[tuple[str, ...], TrialRole], ...] = (
+    (CALIBRATION_SUFFIXES, "calibration"),
+    ((".markerset.toml",), "marker_set"),
+    (("pressure.toml",), "pressure_card"),
+    ((".csv",), "pressure"),
+    ((".c3d", ".mot", ".sto"), "force_plates"),
+    ((".osim",), "body_model"),
+    (VIDEO_SUFFIXES, "video"),
+    ((".zip",), "keypoints"),
+)
+"""What a file is by the end of its name; the first that fits."""
 
 
 def find_capture_files(folder: Path) -> list[CaptureFile]:
     """List the recordings in a folder and its subfolders, by their suffixes; also a body model and its marker set.
 
+    A subfolder with OpenPose's files of a camera, or a ZIP archive of them, is that camera's keypoints: as Pose2Sim has them.
+
+
     Raises:
-        InputError: ``folder-missing``, or ``folder-empty`` if it holds no videos.
+        InputError: ``folder-missing``, or ``folder-empty`` if it holds neither videos nor keypoints.
     """
     if not folder.is_dir():
         raise InputError(
@@ -24,26 +36,21 @@ def find_capture_files(folder: Path) -> list[CaptureFile]:
             hint="Give the folder that holds the videos and the calibration.",
             code="folder-missing",
         )
-    found: list[CaptureFile] = []
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        if path.name.lower().endswith(CALIBRATION_SUFFIXES):
-            found.append(CaptureFile(path=path, name=path.name, role="calibration"))
-        elif path.name.lower().endswith(MARKER_SET_SUFFIX):
-            found.append(CaptureFile(path=path, name=path.name, role="marker_set"))
-        elif path.name.lower().endswith(PRESSURE_CARD_SUFFIX):
-            found.append(CaptureFile(path=path, name=path.name, role="pressure_card"))
-        elif path.suffix.lower() == ".csv":
-            found.append(CaptureFile(path=path, name=path.name, role="pressure"))
-        elif path.suffix.lower() in PLATE_SUFFIXES:
-            found.append(CaptureFile(path=path, name=path.name, role="force_plates"))
-        elif path.suffix.lower() == ".osim":
-            found.append(CaptureFile(path=path, name=path.name, role="body_model"))
-        elif path.suffix.lower() in VIDEO_SUFFIXES:
-            found.append(CaptureFile(path=path, name=path.name, role="video"))
-    if not any(file.role == "video" for file in found):
+    found = [
+        CaptureFile(path=path, name=path.name, role=role)
+        for path in sorted(p for p in folder.rglob("*") if p.is_file())
+        if (role := _role_of(path.name.lower())) is not None
+    ]
+    for path in sorted(p for p in folder.rglob("*") if p.is_dir() and holds_poses(p)):
+        found.append(CaptureFile(path=path, name=path.name, role="keypoints"))
+    if not any(file.role in ("video", "keypoints") for file in found):
         raise InputError(
-            f"{folder} holds no videos.",
+            f"{folder} holds no videos and no keypoints.",
             hint=f"Videos end in {', '.join(sorted(VIDEO_SUFFIXES))}; the calibration in {', '.join(CALIBRATION_SUFFIXES)}.",
             code="folder-empty",
         )
     return found
+
+
+def _role_of(name: str) -> TrialRole | None:
+    return next((role for endings, role in ENDINGS if name.endswith(endings)), None)

@@ -13,7 +13,7 @@ from gonio.pipeline.forces import find_forces
 from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
-from gonio.pipeline.params import parse_parameters
+from gonio.pipeline.params import parse_parameters, with_file_defaults
 from gonio.pipeline.pressure import measure_forces, read_sensors
 from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
@@ -26,8 +26,8 @@ def analyse(
     """Compute a gait report from the files of one session.
 
     Args:
-        capture_files: The videos and the calibration; the table of foot pressure with its card, the force plates; the
-            lab's own body model and its marker set: each if there is one.
+        capture_files: The videos (or the keypoints that another program found in them) and the calibration; the table of
+            foot pressure with its card, the force plates; the lab's own body model and its marker set: each if there is one.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -37,13 +37,13 @@ def analyse(
         CaptureError: The recording can't give the answer.
         ResourceError: Weights are missing.
     """
-    chosen = parse_parameters(parameters)
+    chosen = with_file_defaults(parse_parameters(parameters), parameters, capture_files)
     output_dir.mkdir(parents=True, exist_ok=True)
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
-    capture = runner("capture", lambda _: read_capture(capture_files, rig))
+    capture = runner("capture", lambda _: read_capture(capture_files, rig, chosen.keypoints.rate_hz))
     sensors = runner("sensors", lambda _: read_sensors(capture_files, capture.frame_count / capture.timebase.rate_hz))
-    keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen.keypoints, output_dir, progress))
+    keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen, output_dir, progress))
     checked = runner("checks", lambda _: check_keypoints(keypoints.points, capture.rig, chosen.reconstruction))
     delays, synchronous = runner("synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction))
     steady = runner("tripods", lambda _: leave_out_moved_cameras(synchronous, capture.rig, chosen.reconstruction))

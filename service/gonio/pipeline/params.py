@@ -1,15 +1,19 @@
 """What a request may choose, with complete defaults. The HTTP schema is made from these classes, and a report keeps them."""
 
-from collections.abc import Mapping
-from dataclasses import field
+from collections.abc import Iterable, Mapping
+from dataclasses import field, replace
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from gonio.errors import InputError
+from gonio.pipeline.run import CaptureFile
 
 T = TypeVar("T")
+
+FOREIGN_CONFIDENCE = 0.3
+"""The least confidence for keypoints of OpenPose and RTMPose, whose numbers are lower than BlazePose's visibilities."""
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -42,6 +46,27 @@ class KeypointParameters:
             "this rate too, and the motion in between is the smoothest."
         ),
     ] = "default"
+    layout: (
+        Annotated[
+            Literal["body25b", "coco17", "halpe26", "blazepose33"],
+            Field(
+                description="Which keypoints uploaded keypoint files hold, by the order of their network. Without it, 17, 26 "
+                "and 33 keypoints are taken for COCO, HALPE and BlazePose; 25 must be named."
+            ),
+        ]
+        | None
+    ) = None
+    rate_hz: (
+        Annotated[
+            float,
+            Field(
+                gt=1,
+                le=2000,
+                description="The rate of uploaded keypoint files, where their videos are not uploaded too.",
+            ),
+        ]
+        | None
+    ) = None
     person: Annotated[
         Literal["auto"] | Annotated[int, Field(ge=1, le=99)] | tuple[float, float],
         Field(
@@ -66,7 +91,13 @@ class ReconstructionParameters:
         ),
     ] = "robust"
     min_confidence: Annotated[
-        float, Field(ge=0, lt=1, description="Keypoints that the model trusts less are not used.")
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Keypoints that the model trusts less are not used. 0.5 suits gonio's own networks, 0.3 OpenPose's and "
+            "RTMPose's files, and is their default.",
+        ),
     ] = 0.5
     synchronization: Annotated[
         Literal["estimate", "hardware"],
@@ -190,6 +221,14 @@ def parse_parameters(values: Mapping[str, Any]) -> Parameters:
         InputError: ``parameter-invalid``; the message names each wrong field and what it may be.
     """
     return _parse(_ADAPTER, values)
+
+
+def with_file_defaults(parameters: Parameters, asked: Mapping[str, Any], files: Iterable[CaptureFile]) -> Parameters:
+    """Lower the least confidence where keypoints of another program come in and the request says nothing of it."""
+    named = "min_confidence" in asked.get("reconstruction", {})
+    if named or not any(file.role == "keypoints" for file in files):
+        return parameters
+    return replace(parameters, reconstruction=replace(parameters.reconstruction, min_confidence=FOREIGN_CONFIDENCE))
 
 
 def parse_calibration_parameters(values: Mapping[str, Any]) -> CalibrationParameters:

@@ -16,6 +16,7 @@ from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.report_page import render_html
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
+from gonio.pipeline.viewer import skeleton_of, write_viewer
 from gonio.records import Finding, GaitAnalysis, LabPoints
 from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
@@ -36,6 +37,7 @@ def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Pa
         others=(
             *write_opensim_files(analysis.points, analysis.motion, analysis.body.file, output_dir),
             *write_laboratory_files(analysis.points, analysis.motion, analysis.gait, output_dir),
+            *write_viewer(analysis, output_dir),
         ),
     )
 
@@ -87,17 +89,17 @@ def load_report(document: Path) -> GaitReport:
 
 def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
     """Draw the smoothed points over the still frame of each camera: what the reader can check by eye."""
-    card = load_card(analysis.parameters.keypoints.model)
-    assert card.keypoints is not None  # a landmark card has them: its own check
     keypoints, points = analysis.keypoints, analysis.points
     drawn: dict[str, bytes] = {}
+    if not keypoints.pictures:
+        return {}
     for camera, path, scale in zip(analysis.raw.rig.cameras, keypoints.pictures, keypoints.picture_scale, strict=True):
         uv_px = project(camera, points.xyz_lab_m[keypoints.picture_frame])
         # A pixel's centre is at a whole number, its edges at halves: scaling acts on the edges.
         place_px = (uv_px + 0.5) * scale - 0.5
         picture = decode_jpeg(path.read_bytes())
         drawn[camera.name] = encode_jpeg(
-            draw_skeleton(picture, place_px, points.keypoint_names, card.keypoints.segments)
+            draw_skeleton(picture, place_px, points.keypoint_names, skeleton_of(points.keypoint_names))
         )
     return drawn
 

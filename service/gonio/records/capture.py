@@ -10,15 +10,20 @@ from gonio.records.timebase import Timebase
 
 @record
 class View:
-    """One camera's video: every ``frame_step``-th of its frames, from the first, belongs to the trial's clock."""
+    """One camera's video: every ``frame_step``-th of its frames, from the first, belongs to the trial's clock.
+
+    ``path`` is the video, None where only keypoints were uploaded; ``poses`` are the keypoints that were found in it by
+    another program, None where gonio's own network is to find them.
+    """
 
     camera_name: str
     file_name: str
-    path: Path
+    path: Path | None
     image_size_px: tuple[int, int]
     rate_hz: float
     frame_count: int
     frame_step: int = 1
+    poses: Path | None = None
 
 
 @record

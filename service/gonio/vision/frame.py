@@ -128,6 +128,29 @@ class Frame:
         rgb = self._to_rgb(planes, (0.0, 255.0))
         return np.rot90(np.rint(rgb).astype(np.uint8), -self.rotation_deg // 90).copy()
 
+    def small_planes(self, max_side_px: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shrink the planes as they are, turned for viewing: for encoders, which want Y, U and V, not RGB.
+
+        Luma has an even number of rows and columns, U and V half as many; values are those of video range (16 to 235). The
+        weights of red and blue stay the recording's: a player that assumes others shows slightly different colours.
+        """
+        height, width = self.planes[0].shape
+        scale = min(1.0, max_side_px / max(height, width))
+        size = max(1, round(width * scale / 2)), max(1, round(height * scale / 2))
+        sizes = ((2 * size[0], 2 * size[1]), size, size)
+        small = [
+            cv2.resize(plane, s, interpolation=cv2.INTER_AREA) for plane, s in zip(self.planes, sizes, strict=True)
+        ]
+        if self.colour.black[0] == 0.0:
+            ramp = np.arange(256) / 255
+            luma, chroma = np.rint(16 + 219 * ramp), np.rint(16 + 224 * ramp)
+            small = [
+                cv2.LUT(plane, table.astype(np.uint8))
+                for plane, table in zip(small, (luma, chroma, chroma), strict=True)
+            ]
+        turned = [np.ascontiguousarray(np.rot90(plane, -self.rotation_deg // 90)) for plane in small]
+        return turned[0], turned[1], turned[2]
+
     def luma(self) -> UInt8[np.ndarray, "height width"]:
         """Give the picture's luma as it is viewed: the grey picture that detectors of patterns work on."""
         return np.ascontiguousarray(np.rot90(self.planes[0], -self.rotation_deg // 90))

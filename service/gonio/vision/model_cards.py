@@ -48,21 +48,11 @@ class Keypoints:
     """The points of a landmark model.
 
     ``names`` are the points that a report knows, ``auxiliary`` further points of the network that only steer the next
-    crop. ``segments`` are the skeleton's lines, for drawing.
+    crop.
     """
 
     names: tuple[str, ...]
     auxiliary: tuple[str, ...]
-    segments: tuple[tuple[str, str], ...]
-
-    def __post_init__(self) -> None:
-        unknown = sorted({name for segment in self.segments for name in segment} - set(self.names))
-        if unknown:
-            raise InputError(
-                f"The skeleton's segments name unknown keypoints: {', '.join(unknown)}.",
-                hint=f"Known are: {', '.join(self.names)}.",
-                code="model-card-invalid",
-            )
 
 
 @record

@@ -19,6 +19,9 @@ from gonio.vision.video import iterate_frames
 MOST_PEOPLE = 4
 """So many people are followed in a camera: each costs a crop a look, and the subject is among the largest few."""
 
+OnFrame = Callable[[int, int, Frame], None]
+"""Hears a frame's index on the trial's clock, the camera's index, and the frame."""
+
 SEARCH_LOOKS = 30
 """A camera that follows somebody looks for others in every so-many-th look: the detector costs about one crop."""
 
@@ -35,7 +38,7 @@ def track_people(
     stride: int = 1,
     workers: int,
     on_progress: Callable[[float], None],
-    on_frames: Callable[[int, Sequence[Frame]], None] = lambda _index, _frames: None,
+    on_frame: OnFrame = lambda _index, _camera, _frame: None,
 ) -> Sightings:
     """Find the keypoints of everybody in every frame of every camera.
 
@@ -51,29 +54,26 @@ def track_people(
             passed over.
         workers: Threads; the networks release the interpreter's lock.
         on_progress: Hears the share that is done after each frame; may raise to stop the work.
-        on_frames: Hears each frame's index and pictures, in the order of the cameras.
+        on_frame: Hears each frame's index, its camera and the frame; in the threads, a camera's frames in order.
     """
     count = capture.frame_count
     uv_px = np.full((len(capture.views), count, MOST_PEOPLE, len(keypoint_names), 2), np.nan)
     confidence = np.zeros(uv_px.shape[:4])
     cameras = [CameraPeople(detector, landmarks) for _ in capture.views]
-    readers: list[Iterator[Frame]] = [
-        islice(iterate_frames(view.path), 0, None, view.frame_step) for view in capture.views
-    ]
+    readers = _readers(capture)
     with ThreadPoolExecutor(workers) as pool:
         for index in range(count):
             look = index % stride == 0 or index == count - 1
 
-            def read_and_look(camera: int, look: bool = look) -> tuple[Frame, list[PersonLandmarks]]:
+            def read_and_look(camera: int, index: int = index, look: bool = look) -> list[PersonLandmarks]:
                 frame = next(readers[camera])
-                return frame, cameras[camera].look(frame) if look else []
+                on_frame(index, camera, frame)
+                return cameras[camera].look(frame) if look else []
 
-            seen = list(pool.map(read_and_look, range(len(readers))))
-            for camera, (_, people) in enumerate(seen):
+            for camera, people in enumerate(pool.map(read_and_look, range(len(readers)))):
                 for place, person in enumerate(people):
                     uv_px[camera, index, place] = person.uv_px
                     confidence[camera, index, place] = person.visibility
-            on_frames(index, [frame for frame, _ in seen])
             on_progress((index + 1) / count)
     return Sightings(
         camera_names=capture.rig.names,
@@ -83,6 +83,23 @@ def track_people(
         confidence=confidence,
         stride=stride,
     )
+
+
+def leaf_through(capture: Capture, on_frame: OnFrame, on_progress: Callable[[float], None]) -> None:
+    """Decode the videos and pass their frames on, looking for nobody: a camera after the other."""
+    readers = _readers(capture)
+    for camera, reader in enumerate(readers):
+        for index, frame in enumerate(islice(reader, capture.frame_count)):
+            on_frame(index, camera, frame)
+            on_progress((camera + (index + 1) / capture.frame_count) / len(readers))
+
+
+def _readers(capture: Capture) -> list[Iterator[Frame]]:
+    """Open the videos: each camera's frames on the trial's clock."""
+    paths = [view.path for view in capture.views if view.path is not None]
+    return [
+        islice(iterate_frames(path), 0, None, view.frame_step) for path, view in zip(paths, capture.views, strict=True)
+    ]
 
 
 class CameraPeople:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from gonio.errors import CaptureError, GonioError, InputError
+from gonio.formats.openpose import LAYOUTS, write_poses
 from gonio.pipeline.capture import common_time, fit_camera_to_video, match_videos, read_capture, read_rig
 from gonio.pipeline.folder import find_capture_files
+from gonio.pipeline.keypoints import read_sightings
+from gonio.pipeline.params import KeypointParameters, Parameters, parse_parameters, with_file_defaults
 from gonio.pipeline.run import CaptureFile
 from gonio.records import Rig
 from gonio.vision.video import VideoInfo
@@ -74,6 +77,66 @@ def test_different_lengths_use_the_common_part_with_a_finding(calibration: Captu
     outcome = read_capture(files, read_rig(files).value)
     assert outcome.value.frame_count == 9
     assert "lengths-differ" in codes(outcome.findings)
+
+
+def poses(path: Path, frames: int = 12) -> CaptureFile:
+    write_poses(path, np.ones((frames, 17, 2)), np.ones((frames, 17)))
+    return CaptureFile(path=path, name=path.name, role="keypoints")
+
+
+def test_keypoints_of_another_program_stand_for_the_videos(calibration: CaptureFile, tmp_path: Path) -> None:
+    files = [poses(tmp_path / f"cam{i}.zip", frames=10 + i) for i in (1, 2)] + [calibration]
+    rig = read_rig(files).value
+    outcome = read_capture(files, rig, 50.0)
+    capture = outcome.value
+    assert (capture.rig.names, capture.timebase.rate_hz, capture.frame_count) == (("cam1", "cam2"), 50.0, 11)
+    assert [(v.path, v.poses) for v in capture.views] == [(None, tmp_path / f"cam{i}.zip") for i in (1, 2)]
+    assert "lengths-differ" in codes(outcome.findings)
+    with pytest.raises(InputError, match=r"rate of cam1\.zip is not known") as caught:
+        read_capture(files, rig)
+    assert caught.value.code == "poses-rate-missing"
+    sightings = read_sightings(capture, KeypointParameters())  # 17 keypoints: COCO's
+    assert sightings.keypoint_names == LAYOUTS["coco17"]
+    assert sightings.uv_px.shape == (2, 11, 1, 17, 2)
+
+
+def test_keypoints_take_the_rate_of_their_video_and_must_be_complete(
+    calibration: CaptureFile, make_video: MakeVideo, tmp_path: Path
+) -> None:
+    files = [
+        video(make_video("cam1.mp4")),
+        video(make_video("cam2.mp4")),
+        poses(tmp_path / "cam1.zip", 9),
+        poses(tmp_path / "cam2.zip", 9),
+        calibration,
+    ]
+    capture = read_capture(files, read_rig(files).value, 50.0).value
+    assert (capture.timebase.rate_hz, capture.frame_count) == (30.0, 9)
+    assert all(view.path and view.poses for view in capture.views)
+    files.append(video(make_video("cam3.mp4")))
+    with pytest.raises(InputError, match="keypoints of cam3 are missing") as caught:
+        read_capture(files, read_rig(files).value)
+    assert caught.value.code == "poses-incomplete"
+
+
+def test_twenty_five_keypoints_must_be_named(calibration: CaptureFile, tmp_path: Path) -> None:
+    files = [calibration]
+    for i in (1, 2):
+        write_poses(tmp_path / f"cam{i}.zip", np.ones((3, 25, 2)), np.ones((3, 25)))
+        files.append(CaptureFile(path=tmp_path / f"cam{i}.zip", name=f"cam{i}.zip", role="keypoints"))
+    capture = read_capture(files, read_rig(files).value, 50.0).value
+    with pytest.raises(InputError, match="people of 25 keypoints") as caught:
+        read_sightings(capture, KeypointParameters())
+    assert caught.value.code == "poses-layout-unknown"
+    assert read_sightings(capture, KeypointParameters(layout="body25b")).keypoint_names == LAYOUTS["body25b"]
+
+
+def test_keypoint_files_lower_the_least_confidence_unless_the_request_names_one(tmp_path: Path) -> None:
+    files = [poses(tmp_path / "cam1.zip")]
+    for asked, least in (({}, 0.3), ({"reconstruction": {"min_confidence": 0.6}}, 0.6)):
+        chosen = with_file_defaults(parse_parameters(asked), asked, files)
+        assert chosen.reconstruction.min_confidence == least
+    assert with_file_defaults(Parameters(), {}, []) == Parameters()
 
 
 @pytest.mark.parametrize(("videos", "code"), [(0, "too-few-videos"), (1, "too-few-videos")])

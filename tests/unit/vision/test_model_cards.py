@@ -50,7 +50,6 @@ def test_an_unknown_model_names_the_known_ones() -> None:
         ("range = [0.0, 1.0]", "range = [0.0]", "range"),
         ('kind = "landmarks"', 'kind = "segmentation"', "kind"),
         ("[refinement]", "[refinements]", "refinements"),
-        ('"nose", "left_ear"', '"noze", "left_ear"', "noze"),
         ('kind = "landmarks"', 'kind = "detector"', "[detection]"),
         ("sha256", "sha265", "sha256"),
         ("[input]", "[input", "TOML|Expected"),

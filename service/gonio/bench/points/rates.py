@@ -131,6 +131,7 @@ def _locate_often(capture: Capture) -> ImagePoints:
     confidence = tracked.confidence.copy()
     for camera, view in enumerate(capture.views):
         tracker = PersonTracker(detector, landmarks)
+        assert view.path is not None  # the recording is videos
         for frame in iterate_frames(view.path):
             if tracker.region is None:
                 people = tracker.candidates(frame)
