@@ -10,13 +10,13 @@ NAME ?=
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*?## ' $(MAKEFILE_LIST) | awk -F':.*?## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
-demo: $(VENV)/runtime  ## four real videos in over HTTP, a gait report out
+demo: $(VENV)/runtime $(VENV)/dashboard  ## four real videos in over HTTP, a gait report out
 	$(BIN)/gonio demo --output build/demo
 
-serve: $(VENV)/runtime  ## start the service on 127.0.0.1:8000
+serve: $(VENV)/runtime $(VENV)/dashboard  ## start the service on 127.0.0.1:8000
 	$(BIN)/gonio serve
 
-test: $(VENV)/dev  ## all tests
+test: $(VENV)/dev $(VENV)/dashboard  ## all tests
 	$(BIN)/python -m pytest -n auto --dist loadgroup $(ARGS)
 
 check: $(VENV)/dev  ## format, lint, types, import contracts, unit and law tests
@@ -54,6 +54,12 @@ $(VENV)/bin/python:
 $(VENV)/runtime: requirements.lock pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $@
+
+# Vite puts the page beside the code that serves it, where the wheel takes it from.
+$(VENV)/dashboard: $(addprefix service/dashboard/,package-lock.json index.html vite.config.ts) $(shell find service/dashboard/src -type f) | $(BIN)/python
+	npm ci --prefix service/dashboard --silent --no-fund --no-audit
+	npm run build --prefix service/dashboard --silent
 	touch $@
 
 $(VENV)/dev: requirements-dev.lock $(VENV)/runtime

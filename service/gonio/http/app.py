@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 
 from gonio.errors import GonioError
 from gonio.http import problems
+from gonio.http.dashboard import add_dashboard
 from gonio.http.middleware import Envelope
 from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions
 from gonio.http.schemas import Problem
@@ -94,4 +95,5 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
     for module in (sessions, files, analyses, jobs, reports, calibrations, keys, meta):
         app.include_router(module.router)
+    add_dashboard(app)
     return app

@@ -33,6 +33,9 @@ TheSettings = Annotated[Settings, Depends(_settings)]
 
 
 _BEARER = HTTPBearer(auto_error=False, scheme_name="key", description="A key of the lab: `gonio keys create LAB`.")
+KEY_COOKIE = "gonio_key"
+"""Where a browser keeps the key after `POST /sign-in`: HttpOnly, SameSite=Strict."""
+
 _BASIC = HTTPBasic(auto_error=False, scheme_name="password", description="For browsers: any name, the key as password.")
 
 
@@ -49,12 +52,10 @@ def _caller(
         InputError: ``key-missing``, ``key-invalid``, ``scope-missing`` or ``foreign-page``.
     """
     changes = request.method not in ("GET", "HEAD")
-    if changes and request.headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
-        # A browser sends passwords, and reaches this machine, also for a page of somebody else's.
-        raise InputError(
-            "A page of another site sent this request.", hint="Use a client of your own.", code="foreign-page"
-        )
-    key = bearer.credentials if bearer else basic.password if basic else ""
+    if changes:
+        refuse_foreign_pages(request)
+    cookie = request.cookies.get(KEY_COOKIE, "")
+    key = bearer.credentials if bearer else basic.password if basic else cookie
     if not key and _needs_no_key(request, service, settings):
         return Caller(settings.default_lab)
     if not key:
@@ -69,6 +70,20 @@ def _caller(
             "The key is unknown, has expired or was revoked.", hint="Ask your lab for a valid one.", code="key-invalid"
         )
     return _allowed(caller, "write" if changes else "read")
+
+
+def refuse_foreign_pages(request: Request) -> None:
+    """Refuse what a page of another site sent.
+
+    A browser sends passwords, and reaches this machine, also for a page of somebody else's.
+
+    Raises:
+        InputError: ``foreign-page``.
+    """
+    if request.headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+        raise InputError(
+            "A page of another site sent this request.", hint="Use a client of your own.", code="foreign-page"
+        )
 
 
 def _needs_no_key(request: Request, service: Service, settings: Settings) -> bool:

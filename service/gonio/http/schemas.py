@@ -9,7 +9,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_validator
 
 from gonio.http.problems import entry_of
-from gonio.jobs.access import NewKey, Scope
+from gonio.jobs.access import LONGEST_KEY, NewKey, Scope
 from gonio.jobs.service import JobView
 from gonio.jobs.tables import CalibrationRow, FileRow, JobState, KeyRow, ReadingRow, ReportRow, SessionRow
 from gonio.pipeline.run import Role, SessionKind
@@ -346,6 +346,20 @@ class Problem(BaseModel):
     reference: str | None = Field(
         default=None, description="With `internal-error`: where it stands in the service's log."
     )
+
+
+class SignIn(_In):
+    """A key to sign in with."""
+
+    key: str = Field(min_length=1, max_length=LONGEST_KEY)
+
+
+class CallerOut(BaseModel):
+    """Who asks."""
+
+    lab: str
+    scopes: list[str]
+    signed_in: bool = Field(description="Whether a cookie of `POST /sign-in` came along.")
 
 
 class KeyIn(_In):

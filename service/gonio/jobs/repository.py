@@ -83,9 +83,9 @@ class Repository:
         """Give a job if there is one."""
         return self._db.scalar(self._select(JobRow).where(JobRow.id == job_id))
 
-    def jobs(self, limit: int, after: Place | None = None) -> Sequence[JobRow]:
-        """List jobs, newest first."""
-        return self._page(JobRow, limit, after)
+    def jobs(self, limit: int, after: Place | None = None, session_id: str | None = None) -> Sequence[JobRow]:
+        """List jobs, newest first; of one session if it is named."""
+        return self._page(JobRow, limit, after, *([JobRow.session_id == session_id] if session_id else []))
 
     def active_jobs(self, session_id: str) -> Sequence[JobRow]:
         """List the jobs that haven't ended and read a session's files, or a calibration that it gave."""

@@ -230,10 +230,12 @@ class Service:
         with self._reading(lab) as repository:
             return self._view(repository.job(job_id))
 
-    def jobs(self, lab: str, limit: int, after: Place | None = None) -> Sequence[JobView]:
-        """List jobs, newest first."""
+    def jobs(
+        self, lab: str, limit: int, after: Place | None = None, session_id: str | None = None
+    ) -> Sequence[JobView]:
+        """List jobs, newest first; of one session if it is named."""
         with self._reading(lab) as repository:
-            return [self._view(row) for row in repository.jobs(limit, after)]
+            return [self._view(row) for row in repository.jobs(limit, after, session_id)]
 
     def cancel(self, lab: str, job_id: str) -> JobView:
         """Cancel a job; one that has ended stays as it is."""

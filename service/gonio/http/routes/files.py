@@ -83,6 +83,7 @@ _FORM = {
             "floor-points-unreadable",
             "pressure-card-unreadable",
             "pressure-unreadable",
+            "poses-unreadable",
             "pressure-clock",
             "pressure-too-long",
             "pressure-one-foot",

@@ -2,8 +2,9 @@
 
 import hashlib
 from typing import Annotated
+from uuid import UUID
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Query, Response
 
 from gonio.http.dependencies import CurrentLab, Id, Page, TheService
 from gonio.http.problems import GUARD, fails
@@ -17,9 +18,14 @@ RETRY_AFTER_S = 1
 
 
 @router.get("", responses=fails("bad-cursor"))
-def list_jobs(page: Page, service: TheService, lab: CurrentLab) -> ListOf[JobOut]:
+def list_jobs(
+    page: Page,
+    service: TheService,
+    lab: CurrentLab,
+    session: Annotated[UUID | None, Query(description="Only those of this session.")] = None,
+) -> ListOf[JobOut]:
     """List jobs, newest first."""
-    views = service.jobs(lab, page.limit, page.after)
+    views = service.jobs(lab, page.limit, page.after, session and str(session))
     return ListOf(items=[JobOut.of(view) for view in views], next_cursor=page.next_cursor([v.row for v in views]))
 
 

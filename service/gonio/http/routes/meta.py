@@ -10,16 +10,13 @@ from starlette.requests import Request
 
 from gonio.errors import InputError, ResourceError
 from gonio.http import pages
-from gonio.http.dependencies import TheCaller, TheService
+from gonio.http.dependencies import TheService
 from gonio.http.problems import KINDS, fails
-from gonio.http.schemas import Health, JobOut
+from gonio.http.schemas import Health
 
 log = logging.getLogger(__name__)
 
 router = APIRouter(tags=["service"])
-
-NEWEST = 20
-"""How many sessions, jobs and reports the first page shows of each."""
 
 
 @router.get("/healthz", responses=fails())
@@ -37,21 +34,6 @@ def is_ready(service: TheService) -> Health:
         log.warning("Not ready: %s", error)
         raise ResourceError("The service can't work at the moment.", hint="See its log.", code="not-ready") from error
     return Health(status="ready", version=version("gonio"))
-
-
-@router.get("/", response_class=HTMLResponse, include_in_schema=False)
-def show_overview(service: TheService, caller: TheCaller) -> str:
-    """Show the newest sessions, jobs and reports."""
-    lab = caller.lab
-    service.access.note_reading(caller, None, "sessions")
-    jobs = [JobOut.of(view) for view in service.jobs(lab, NEWEST)]
-    return pages.render(
-        "overview.html",
-        sessions=service.sessions(lab, NEWEST),
-        jobs=jobs,
-        reports=service.reports(lab, NEWEST),
-        calibrations=service.calibrations(lab, NEWEST),
-    )
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)

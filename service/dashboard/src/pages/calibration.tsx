@@ -1,0 +1,93 @@
+import { useEffect, useRef } from "preact/hooks";
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { api } from "../api";
+import { useLoaded } from "../load";
+import { Findings } from "../parts/findings";
+import { ProblemNote } from "../parts/problem";
+import { cameraLines } from "../viewer/frusta";
+
+const VERDICTS = { accept: "Accepted", warn: "Accepted with warnings", reject: "Rejected: don't use it" };
+
+interface RigDocument {
+  cameras: { name: string; image_size_px: [number, number]; intrinsic_px: number[][]; T_lab_cam: number[][] }[];
+}
+
+export function CalibrationPage({ id }: { id: string }) {
+  const { value, problem } = useLoaded(() => api.calibration(id), id);
+  if (!value) return <ProblemNote problem={problem} />;
+  const document = value.files.find((file) => file.kind === "document");
+  const page = value.files.find((file) => file.kind === "page");
+  return (
+    <article>
+      <header class="row">
+        <h1>{value.name || "Calibration"}</h1>
+        <span class={`state ${value.verdict}`}>{VERDICTS[value.verdict]}</span>
+        {value.volume_error_mm !== null && <p>Error to expect of a point in the covered volume: {value.volume_error_mm.toFixed(1)} mm.</p>}
+      </header>
+      <Findings findings={value.findings} />
+      {document && <RigScene url={document.url} />}
+      {page && (
+        <>
+          <h2>Where the board was seen, and the verdict's numbers</h2>
+          <iframe class="page" src={page.url} title="The calibration's own page, with a coverage picture of each camera" />
+        </>
+      )}
+      <h2>Files</h2>
+      <ul class="files">
+        {value.files.map((file) => (
+          <li key={file.name}>
+            <a href={file.url} download={file.name}>
+              {file.name}
+            </a>
+          </li>
+        ))}
+      </ul>
+    </article>
+  );
+}
+
+function RigScene({ url }: { url: string }) {
+  const { value } = useLoaded(() => api.document<RigDocument>(url), url);
+  const place = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    if (!value) return;
+    const host = place.current!;
+    const renderer = new THREE.WebGLRenderer({ antialias: true });
+    host.append(renderer.domElement);
+    const scene = new THREE.Scene();
+    scene.background = new THREE.Color("#f5f7f9");
+    scene.add(new THREE.GridHelper(10, 20, "#9aa5b1", "#d3dae1"), new THREE.AxesHelper(0.5));
+    const box = new THREE.Box3();
+    for (const one of value.cameras) {
+      const pose = new THREE.Matrix4().set(...(one.T_lab_cam.flat() as Parameters<THREE.Matrix4["set"]>));
+      box.expandByPoint(new THREE.Vector3().setFromMatrixPosition(pose));
+      const [width_px, height_px] = one.image_size_px;
+      const inverse = pose.clone().invert().elements;
+      const T_cam_lab = [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => inverse[4 * column + row]!));
+      scene.add(cameraLines({ width_px, height_px, intrinsic_px: one.intrinsic_px, T_cam_lab }));
+    }
+    const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 200);
+    const controls = new OrbitControls(camera, renderer.domElement);
+    const size = box.getSize(new THREE.Vector3()).length() + 2;
+    box.getCenter(controls.target).setY(0.8);
+    camera.position.copy(controls.target).add(new THREE.Vector3(0.5 * size, 0.5 * size, 0.8 * size));
+    const draw = () => renderer.render(scene, camera);
+    const fit = new ResizeObserver(() => {
+      renderer.setSize(host.clientWidth, host.clientHeight);
+      camera.aspect = host.clientWidth / Math.max(host.clientHeight, 1);
+      camera.updateProjectionMatrix();
+      draw();
+    });
+    fit.observe(host);
+    controls.addEventListener("change", draw);
+    controls.update();
+    return () => {
+      fit.disconnect();
+      controls.dispose();
+      renderer.dispose();
+      renderer.domElement.remove();
+    };
+  }, [value]);
+  return <div ref={place} class="scene rig" role="img" aria-label="Where the cameras stand, on the floor of the lab" />;
+}

@@ -1,0 +1,75 @@
+import { useState } from "preact/hooks";
+import { api, Problem } from "../api";
+import { useLoaded } from "../load";
+import { ProblemNote } from "../parts/problem";
+
+export function NewSessionPage({ kind }: { kind: string }) {
+  const [problem, setProblem] = useState<Problem | null>(null);
+  const { value: calibrations } = useLoaded(api.calibrations, "calibrations");
+  const isTrial = kind !== "calibration";
+  const submit = async (event: SubmitEvent) => {
+    event.preventDefault();
+    const form = new FormData(event.currentTarget as HTMLFormElement);
+    const text = (name: string) => String(form.get(name) ?? "").trim();
+    const number = (name: string) => (text(name) ? Number(text(name).replace(",", ".")) : null);
+    try {
+      const session = await api.createSession({
+        kind,
+        name: text("name"),
+        subject: isTrial ? { mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
+        calibration: text("calibration") || null,
+      });
+      location.hash = `#/sessions/${session.id}`;
+    } catch (error) {
+      setProblem(error as Problem);
+    }
+  };
+  return (
+    <div class="narrow">
+      <h1>{isTrial ? "New session" : "Calibrate cameras"}</h1>
+      <form onSubmit={submit}>
+        <label>
+          Name
+          <input name="name" maxLength={200} placeholder={isTrial ? "Anna, barefoot, 2nd walk" : "Gait lab, November"} />
+        </label>
+        {isTrial && (
+          <fieldset>
+            <legend>Subject</legend>
+            <label>
+              Mass, kg
+              <input name="mass" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" aria-describedby="mass-why" />
+            </label>
+            <p id="mass-why" class="quiet">
+              Without it, there are angles but no torques.
+            </p>
+            <label>
+              Stature, m
+              <input name="stature" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" />
+            </label>
+            <label>
+              Sex
+              <select name="sex">
+                <option value="">not given</option>
+                <option value="female">female</option>
+                <option value="male">male</option>
+              </select>
+            </label>
+          </fieldset>
+        )}
+        <label>
+          {isTrial ? "Calibration of the cameras" : "Earlier calibration to check"}
+          <select name="calibration">
+            <option value="">{isTrial ? "I upload a file of it" : "none"}</option>
+            {calibrations?.map((one) => (
+              <option key={one.id} value={one.id}>
+                {one.name || one.cameras.join(", ")} · {new Date(one.created_at).toLocaleDateString()} · {one.verdict}
+              </option>
+            ))}
+          </select>
+        </label>
+        <button class="primary">Create</button>
+        <ProblemNote problem={problem} />
+      </form>
+    </div>
+  );
+}

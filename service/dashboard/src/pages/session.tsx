@@ -1,0 +1,156 @@
+import { useMemo, useRef, useState } from "preact/hooks";
+import { api, Problem } from "../api";
+import { useLoaded } from "../load";
+import { isActive, JobRow } from "../parts/job";
+import { ProblemNote } from "../parts/problem";
+import { Uploads } from "../parts/uploads";
+import type { UploadedFile } from "../types";
+
+const ROLES: Record<string, string> = {
+  video: "video",
+  keypoints: "keypoints",
+  calibration: "calibration",
+  pressure: "foot pressure",
+  pressure_card: "card of the foot pressure",
+  force_plates: "force plates",
+  body_model: "body model",
+  marker_set: "marker set",
+  sweep: "sweep of the board",
+  lens: "board for one lens",
+  floor: "board on the floor",
+  board: "card of the board",
+};
+
+export function SessionPage({ id }: { id: string }) {
+  const session = useLoaded(() => api.session(id), id);
+  const files = useLoaded(() => api.files(id), `${id} files`);
+  const jobs = useLoaded(() => api.jobs(id), `${id} jobs`);
+  const uploads = useMemo(() => new Uploads(id, files.again), [id]);
+  const [problem, setProblem] = useState<Problem | null>(null);
+  if (!session.value) return <ProblemNote problem={session.problem} />;
+  const isTrial = session.value.kind !== "calibration";
+  const busy = jobs.value?.some(isActive) ?? false;
+  const attempt = (work: () => Promise<unknown>, after: () => void) => async () => {
+    setProblem(null);
+    try {
+      await work();
+      after();
+    } catch (error) {
+      setProblem(error as Problem);
+    }
+  };
+  const remove = () => {
+    if (confirm("Delete this session with its files and reports? Nothing of it is kept.")) return api.deleteSession(id);
+    return Promise.reject(new Problem(0, "", "Nothing was deleted.", ""));
+  };
+  return (
+    <>
+      <div class="row">
+        <h1>{session.value.name || "Unnamed session"}</h1>
+        <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, {}), jobs.again)}>
+          {isTrial ? "Analyse" : "Calibrate"}
+        </button>
+      </div>
+      <ProblemNote problem={problem ?? files.problem ?? jobs.problem} />
+      <DropZone uploads={uploads} isTrial={isTrial} />
+      <h2>Files</h2>
+      {files.value && <Files files={files.value} onDelete={(file) => attempt(() => api.deleteFile(id, file), files.again)()} />}
+      <h2>Jobs</h2>
+      {jobs.value?.length === 0 && <p class="empty">Not started yet. When all files are here, press “{isTrial ? "Analyse" : "Calibrate"}”.</p>}
+      <ul class="jobs">
+        {jobs.value?.map((job) => (
+          <JobRow key={job.id} job={job} onEnd={jobs.again} />
+        ))}
+      </ul>
+      <p>
+        <button class="quiet" onClick={attempt(remove, () => (location.hash = "#/"))}>
+          Delete this session
+        </button>
+      </p>
+    </>
+  );
+}
+
+function DropZone({ uploads, isTrial }: { uploads: Uploads; isTrial: boolean }) {
+  const picker = useRef<HTMLInputElement>(null);
+  const [over, setOver] = useState(false);
+  const drop = (event: DragEvent) => {
+    event.preventDefault();
+    setOver(false);
+    uploads.add(event.dataTransfer?.files ?? []);
+  };
+  return (
+    <section
+      class={over ? "drop over" : "drop"}
+      aria-label="Upload"
+      onDragOver={(event) => {
+        event.preventDefault();
+        setOver(true);
+      }}
+      onDragLeave={() => setOver(false)}
+      onDrop={drop}
+    >
+      <p>
+        {isTrial
+          ? "Drop the cameras' videos here, the calibration if it is a file, the pressure soles' table."
+          : "Drop each camera's video of the board here, and the board's card (board.toml)."}{" "}
+        <button onClick={() => picker.current?.click()}>Choose files</button>
+      </p>
+      <input ref={picker} type="file" multiple hidden aria-label="Files to upload" onChange={(e) => uploads.add(e.currentTarget.files ?? [])} />
+      <ul class="uploads">
+        {uploads.list.value.map((one) => (
+          <li key={one.file.name} class={one.state}>
+            <span>{one.file.name}</span>
+            <progress max={one.file.size} value={one.sent} aria-label={`Upload of ${one.file.name}`} />
+            <span>{one.state === "sending" ? `${Math.round((100 * one.sent) / Math.max(one.file.size, 1))} %` : one.state}</span>
+            {one.problem && one.state !== "done" && <ProblemNote problem={one.problem} />}
+          </li>
+        ))}
+      </ul>
+    </section>
+  );
+}
+
+function Files({ files, onDelete }: { files: UploadedFile[]; onDelete: (id: string) => void }) {
+  if (files.length === 0) return <p class="empty">No files yet.</p>;
+  return (
+    <table>
+      <thead>
+        <tr>
+          <th>File</th>
+          <th>What it is</th>
+          <th>What gonio saw in it</th>
+          <th>Size</th>
+          <th />
+        </tr>
+      </thead>
+      <tbody>
+        {files.map((file) => (
+          <tr key={file.id}>
+            <td>{file.name}</td>
+            <td>
+              {ROLES[file.role] ?? file.role}
+              {file.camera && ` of ${file.camera}`}
+            </td>
+            <td>{describeFacts(file.facts)}</td>
+            <td>{(file.size / 1e6).toFixed(1)} MB</td>
+            <td>
+              <button class="quiet" onClick={() => onDelete(file.id)} aria-label={`Delete ${file.name}`}>
+                Delete
+              </button>
+            </td>
+          </tr>
+        ))}
+      </tbody>
+    </table>
+  );
+}
+
+function describeFacts(facts: Record<string, unknown>): string {
+  if (typeof facts.width_px === "number" && typeof facts.rate_hz === "number") {
+    return `${facts.width_px} × ${facts.height_px}, ${(facts.rate_hz as number).toFixed(1)} Hz, ${facts.frames} frames`;
+  }
+  return Object.entries(facts)
+    .map(([name, value]) => `${name.replace(/_/g, " ")} ${Array.isArray(value) ? value.join(", ") : String(value)}`)
+    .join("; ");
+}
