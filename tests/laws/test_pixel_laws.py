@@ -8,16 +8,23 @@ import pytest
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.markerset import attach
+from gonio.kernel.body.tree import flatten
 from gonio.kernel.geometry.cameras import project, projection_matrices, undistort_rig
 from gonio.kernel.kinematics.pixel_priors import make_priors
 from gonio.kernel.kinematics.pixel_system import (
     State,
     Trial,
+    as_change,
     frame_covariance,
+    gradient_of,
     linearise,
+    personalise,
+    prepare_step,
+    residuals_px,
+    shape_body,
     shared_covariance,
-    step,
 )
+from gonio.kernel.kinematics.pixel_terms import GRADIENT
 from gonio.pipeline.body import choose_markerset
 from gonio.records import Rig
 from gonio.resources import models_dir
@@ -121,18 +128,37 @@ def test_the_normal_matrix_is_symmetric_and_its_border_matches_its_corner(trial_
 def test_the_covariance_is_the_inverse_of_the_normal_matrix(trial_and_state: tuple[Trial, State]) -> None:
     trial, state = trial_and_state
     equations = linearise(trial, state, SIGMA_PX, LOSS, shared=True)
-    covariance = frame_covariance(trial, equations, 1.0, shared_covariance(trial, equations, 1.0))
+    shared, factor = shared_covariance(trial, equations, 1.0)
+    covariance = frame_covariance(trial, equations, 1.0, shared)
+    np.testing.assert_allclose(
+        frame_covariance(trial, equations, 1.0, shared, factor), covariance, rtol=1e-7, atol=1e-12
+    )
+    inverse = prepare_step(trial, equations, 0.0, shared=True)
     for frame, unknown in ((0, 0), (3, 7), (6, 12)):
-        right = np.zeros_like(equations.prior_gradient)
-        right[frame, unknown] = 1.0
-        data = equations.data._replace(
-            gradient=np.zeros_like(right), shared_gradient=np.zeros_like(equations.data.shared_gradient)
-        )
-        unit = replace(
-            equations,
-            data=data,
-            prior_gradient=right,
-            prior_shared_gradient=np.zeros_like(equations.prior_shared_gradient),
-        )
-        column = step(trial, unit, 0.0, shared=True).q[frame, trial.free]
+        right = np.zeros_like(gradient_of(equations, shared=True))
+        right[frame * len(trial.free) + unknown] = 1.0
+        column = as_change(trial, inverse.of(right)).q[frame, trial.free]
         np.testing.assert_allclose(covariance[frame, :, unknown], column, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_less_than_the_normal_equations_is_the_same_as_their_part(
+    trial_and_state: tuple[Trial, State], shared: bool
+) -> None:
+    trial, state = trial_and_state
+    whole = linearise(trial, state, SIGMA_PX, LOSS, shared=shared)
+    part = linearise(trial, state, SIGMA_PX, LOSS, shared=shared, order=GRADIENT)
+    assert part.cost == pytest.approx(whole.cost, rel=1e-12)
+    np.testing.assert_allclose(gradient_of(part, shared=shared), gradient_of(whole, shared=shared), rtol=1e-9)
+    np.testing.assert_allclose(residuals_px(trial, state), whole.data.error_px, rtol=1e-12)
+
+
+def test_the_body_in_a_state_s_shape_is_the_personal_model_laid_out(trial_and_state: tuple[Trial, State]) -> None:
+    trial, state = trial_and_state
+    ours, whole = shape_body(trial, state), flatten(personalise(trial.model, trial.priors, state))
+    for name in ("nodes", "markers"):
+        one, other = getattr(ours, name), getattr(whole, name)
+        for field in one.dtype.names:
+            np.testing.assert_allclose(one[field], other[field], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(ours.coefficients, whole.coefficients, rtol=1e-12, atol=1e-15)
+    assert np.abs(state.log_scale).max() > 0.01  # a shape of its own

@@ -116,11 +116,11 @@ def write_mot(path: Path, table: Table) -> None:
         "endheader",
         "\t".join(("time", *table.labels)),
     ]
-    row = "\t".join(["%.10f"] * (len(table.labels) + 1))
-    rows = [
-        row % (time_s, *values) for time_s, values in zip(table.times_s.tolist(), table.values.tolist(), strict=True)
-    ]
-    path.write_text("\n".join([*header, *rows, ""]), encoding="utf-8", newline="\n")
+    row = "\t".join(["%.10f"] * (len(table.labels) + 1)) + "\n"
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(header) + "\n")
+        for time_s, values in zip(table.times_s.tolist(), table.values, strict=True):
+            file.write(row % (time_s, *values.tolist()))
 
 
 def table_of_motion(motion: Motion) -> Table:

@@ -107,12 +107,7 @@ def _write_frame(joint: Element, socket: str, T_body_joint: Float[np.ndarray, "4
 
 def _function_factor(model: BodyModel, generic: BodyModel, node: int) -> float:
     """Give the factor by which a node's function was scaled."""
-    ours, theirs = (
-        m.functions.coefficients[
-            m.functions.first_piece[m.joints.function[node]] : m.functions.first_piece[m.joints.function[node] + 1]
-        ]
-        for m in (model, generic)
-    )
+    ours, theirs = (m.functions.coefficients[m.functions.pieces_of(m.joints.function[node])] for m in (model, generic))
     largest = np.unravel_index(np.argmax(np.abs(theirs)), theirs.shape)
     return float(ours[largest] / theirs[largest])
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -92,8 +93,11 @@ def choose_markerset(model: BodyModel, keypoint_names: tuple[str, ...], given: P
         card = read_markerset(given)
         attach(model, card)
         return card
-    cards = [read_markerset(path) for path in sorted((models_dir() / "markersets").rglob("*.toml"))]
-    fitting = [card for card in cards if set(card.keypoint_names) <= set(keypoint_names) and _fits(model, card)]
+    fitting = [
+        card
+        for card in _own_cards(models_dir())
+        if set(card.keypoint_names) <= set(keypoint_names) and _fits(model, card)
+    ]
     if fitting:
         return max(fitting, key=lambda card: len(card.keypoint_names))
     raise InputError(
@@ -101,6 +105,12 @@ def choose_markerset(model: BodyModel, keypoint_names: tuple[str, ...], given: P
         hint="Upload one with the role marker_set; those in models/markersets are examples.",
         code="markerset-missing",
     )
+
+
+@cache
+def _own_cards(models: Path) -> tuple[MarkerSet, ...]:
+    """Read gonio's own cards, once for all analyses of a process: they don't change while it runs."""
+    return tuple(read_markerset(path) for path in sorted((models / "markersets").rglob("*.toml")))
 
 
 def _fits(model: BodyModel, card: MarkerSet) -> bool:

@@ -42,6 +42,10 @@ class Functions:
     origin: Float[np.ndarray, " piece"]
     coefficients: Float[np.ndarray, "piece power"]
 
+    def pieces_of(self, function: int) -> slice:
+        """Give where a function's pieces are."""
+        return slice(int(self.first_piece[function]), int(self.first_piece[function + 1]))
+
 
 @record
 class JointTree:

@@ -91,7 +91,7 @@ def stack(functions: list[Pieces]) -> Functions:
 def scale_function(functions: Functions, index: int, factor: float) -> Functions:
     """Multiply the values of one function of a stack by a factor."""
     coefficients = functions.coefficients.copy()
-    coefficients[functions.first_piece[index] : functions.first_piece[index + 1]] *= factor
+    coefficients[functions.pieces_of(index)] *= factor
     return Functions(
         first_piece=functions.first_piece,
         piece_from=functions.piece_from,

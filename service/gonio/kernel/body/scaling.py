@@ -142,19 +142,33 @@ def _scale_joints(model: BodyModel, factors: Float[np.ndarray, "body 3"]) -> Joi
     return replace(model.joints, T_parent_node=placement)
 
 
-def _scale_slides(model: BodyModel, factors: Float[np.ndarray, "body 3"]) -> Functions:
-    """Scale the coupled slides; a slide by a coordinate itself (value = coordinate) is in metres already and stays."""
+def scaled_slides(model: BodyModel) -> list[int]:
+    """List the nodes that slide by a length of their parent body, which grows with it.
+
+    A slide by a coordinate itself (value = coordinate) is in metres already and stays.
+    """
     joints, functions = model.joints, model.functions
-    coefficients = functions.coefficients.copy()
-    for node in np.flatnonzero(joints.kind == PRISMATIC):
-        body, function = joints.parent_body[node], joints.function[node]
-        pieces = slice(functions.first_piece[function], functions.first_piece[function + 1])
-        identity = np.zeros(coefficients.shape[1])
-        identity[1:2] = 1.0
-        itself = joints.coordinate[node] >= 0 and np.array_equal(coefficients[pieces], identity[None])
-        if body != GROUND and not itself:
-            coefficients[pieces] *= joints.axis[node] ** 2 @ factors[body]
-    return replace(functions, coefficients=coefficients)
+    identity = np.zeros(functions.coefficients.shape[1])
+    identity[1:2] = 1.0
+    found: list[int] = []
+    for node in np.flatnonzero(joints.kind == PRISMATIC).tolist():
+        if joints.function[node] < 0:
+            continue
+        itself = joints.coordinate[node] >= 0 and np.array_equal(
+            functions.coefficients[functions.pieces_of(joints.function[node])], identity[None]
+        )
+        if joints.parent_body[node] != GROUND and not itself:
+            found.append(node)
+    return found
+
+
+def _scale_slides(model: BodyModel, factors: Float[np.ndarray, "body 3"]) -> Functions:
+    """Scale the coupled slides."""
+    joints, coefficients = model.joints, model.functions.coefficients.copy()
+    for node in scaled_slides(model):
+        pieces = model.functions.pieces_of(joints.function[node])
+        coefficients[pieces] *= joints.axis[node] ** 2 @ factors[joints.parent_body[node]]
+    return replace(model.functions, coefficients=coefficients)
 
 
 def _scale_bodies(

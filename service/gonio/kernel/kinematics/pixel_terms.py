@@ -26,6 +26,8 @@ from gonio.kernel.body.tree import (
 )
 from gonio.records import PRISMATIC
 
+RESIDUALS, GRADIENT, NORMAL_EQUATIONS = 0, 1, 2
+
 
 class Sight(NamedTuple):
     """What the cameras saw, and how it is weighed."""
@@ -46,10 +48,14 @@ class Layout(NamedTuple):
     marker_factor: Array  # (marker,): the present scale of its segment
     scales: int
     shared: bool  # whether the shared unknowns are solved for at all
+    order: int  # RESIDUALS, GRADIENT or NORMAL_EQUATIONS: how much is wanted
 
 
 class Sums(NamedTuple):
-    """The normal equations; those of a frame are overwritten, those of the shared unknowns added to."""
+    """The normal equations; those of a frame are overwritten, those of the shared unknowns added to.
+
+    What the layout's order does not ask for is left as it is.
+    """
 
     hessian: Array  # (frame, free, free)
     gradient: Array  # (frame, free)
@@ -68,8 +74,9 @@ class Keypoint(NamedTuple):
     to_pixel: Array  # (camera, 2, 3)
     weight: Array  # (camera,)
     by_coordinate: Array  # (3, coordinate)
-    by_geometry: Array  # (3, scales + 3): log-scales, then the own offset
-    columns: Array  # (scales + 3,): which shared unknowns those are
+    moving: Array  # (free,): which of the free coordinates move it, as many as the frame says
+    by_geometry: Array  # (3, scales + 3): the log-scales that move it, then the own offset
+    columns: Array  # (scales + 3,): which shared unknowns those are, as many as the keypoint says
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -80,28 +87,45 @@ def sum_frames(tree: Tree, sight: Sight, layout: Layout, start: int, stop: int, 
     cameras = sight.projections.shape[0]
     seen = Keypoint(
         np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((cameras, 2, 3)), np.zeros(cameras),
-        np.zeros((3, q.shape[1])), np.zeros((3, layout.scales + 3)), np.zeros(layout.scales + 3, dtype=np.int64),
+        np.zeros((3, q.shape[1])), np.zeros(len(layout.free), dtype=np.int64),
+        np.zeros((3, layout.scales + 3)), np.zeros(layout.scales + 3, dtype=np.int64),
     )  # fmt: skip
     cost = 0.0
     for frame in range(start, stop):
-        sums.hessian[frame] = 0.0
-        sums.gradient[frame] = 0.0
-        sums.border[frame] = 0.0
+        if layout.order >= GRADIENT:
+            sums.gradient[frame] = 0.0
+        if layout.order == NORMAL_EQUATIONS:
+            sums.hessian[frame] = 0.0
+            sums.border[frame] = 0.0
         couple_coordinates(tree, q[frame], coordinates)
         pose_nodes(tree, q[frame], coordinates, nodes)
         for marker in range(len(tree.markers)):
             place_marker(nodes, tree.markers[marker], seen.place)
             cost += _look(sight, frame, marker, seen, sums.error_px)
-            if not np.any(seen.weight > 0.0):
+            if layout.order == RESIDUALS or not np.any(seen.weight > 0.0):
                 continue
             seen.by_coordinate[:] = 0.0
             differentiate_marker(tree, nodes, tree.markers[marker], seen.by_coordinate)
-            _add_frame(seen, layout.free, sums.hessian[frame], sums.gradient[frame])
+            moving = _find_moving(seen, layout.free)
+            _add_frame(seen, layout, moving, sums, frame)
             if layout.shared and tree.markers[marker].node >= 0:
-                _differentiate_geometry(tree, nodes, layout, marker, seen)
-                _add_geometry(seen, layout.free, sums, frame)
-                _add_biases(seen, layout, len(tree.markers), marker, sums, frame)
+                geometric = _differentiate_geometry(tree, nodes, layout, marker, seen)
+                _add_geometry(seen, layout, moving, geometric, sums, frame)
+                _add_biases(seen, layout, len(tree.markers), marker, moving, geometric, sums, frame)
     return cost
+
+
+@njit(cache=True, error_model="numpy")
+def _find_moving(seen: Keypoint, free: Array) -> int:
+    """List the free coordinates that move a keypoint, a third of all at most, and give their number."""
+    count = 0
+    for a in range(len(free)):
+        for i in range(3):
+            if seen.by_coordinate[i, free[a]] != 0.0:
+                seen.moving[count] = a
+                count += 1
+                break
+    return count
 
 
 @njit(cache=True, error_model="numpy")
@@ -137,20 +161,26 @@ def _look(sight: Sight, frame: int, marker: int, seen: Keypoint, error_px: Array
 
 
 @njit(cache=True, error_model="numpy")
-def _add_frame(seen: Keypoint, free: Array, hessian: Array, gradient: Array) -> None:
-    """Add Jᵀ Λ J and Jᵀ γ of one keypoint, for the coordinates that move it."""
+def _add_frame(seen: Keypoint, layout: Layout, moving: int, sums: Sums, frame: int) -> None:
+    """Add Jᵀ γ and Jᵀ Λ J of one keypoint, for the coordinates that move it."""
     carried = np.zeros(3)
-    for a in range(len(free)):
-        column = seen.by_coordinate[:, free[a]]
-        if _carry(seen.information, column, carried):
-            gradient[a] += _dot(column, seen.pull)
-            for b in range(len(free)):
-                hessian[a, b] += _dot(carried, seen.by_coordinate[:, free[b]])
+    for k in range(moving):
+        a = seen.moving[k]
+        column = seen.by_coordinate[:, layout.free[a]]
+        sums.gradient[frame, a] += _dot(column, seen.pull)
+        if layout.order == NORMAL_EQUATIONS:
+            _carry(seen.information, column, carried)
+            for m in range(k + 1):
+                b = seen.moving[m]
+                entry = _dot(carried, seen.by_coordinate[:, layout.free[b]])
+                sums.hessian[frame, a, b] += entry
+                if m < k:
+                    sums.hessian[frame, b, a] += entry
 
 
 @njit(cache=True, error_model="numpy")
-def _differentiate_geometry(tree: Tree, nodes: Array, layout: Layout, marker: int, seen: Keypoint) -> None:
-    """Fill the derivatives of a keypoint's place by the shared unknowns.
+def _differentiate_geometry(tree: Tree, nodes: Array, layout: Layout, marker: int, seen: Keypoint) -> int:
+    """Fill the derivatives of a keypoint's place by the shared unknowns that move it; give their number.
 
     By a group's log-scale: what its lengths contribute to the way from the root. By the offset: the axes of its own node.
     """
@@ -174,25 +204,46 @@ def _differentiate_geometry(tree: Tree, nodes: Array, layout: Layout, marker: in
                 if given.kind == PRISMATIC:  # a slide that follows an angle: the knee's
                     by[i, group] += node.axis_lab[i] * node.value
         index = given.parent
+    return _keep_telling(seen, layout.scales)
 
 
 @njit(cache=True, error_model="numpy")
-def _add_geometry(seen: Keypoint, free: Array, sums: Sums, frame: int) -> None:
+def _keep_telling(seen: Keypoint, scales: int) -> int:
+    """Move the derivatives that are not zero, and the offset's, to the front; give their number."""
+    by, count = seen.by_geometry, 0
+    for column in range(scales + 3):
+        if column >= scales or by[0, column] != 0.0 or by[1, column] != 0.0 or by[2, column] != 0.0:
+            seen.columns[count] = seen.columns[column]
+            for i in range(3):
+                by[i, count] = by[i, column]
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _add_geometry(seen: Keypoint, layout: Layout, moving: int, geometric: int, sums: Sums, frame: int) -> None:
     """Add what one keypoint says of scales and of its own offset."""
     carried = np.zeros(3)
-    for a in range(len(seen.columns)):
-        column = seen.by_geometry[:, a]
-        if not _carry(seen.information, column, carried):
+    for a in range(geometric):
+        column, own = seen.by_geometry[:, a], seen.columns[a]
+        sums.shared_gradient[own] += _dot(column, seen.pull)
+        if layout.order < NORMAL_EQUATIONS:
             continue
-        sums.shared_gradient[seen.columns[a]] += _dot(column, seen.pull)
-        for b in range(len(seen.columns)):
-            sums.corner[seen.columns[a], seen.columns[b]] += _dot(carried, seen.by_geometry[:, b])
-        for k in range(len(free)):
-            sums.border[frame, k, seen.columns[a]] += _dot(carried, seen.by_coordinate[:, free[k]])
+        _carry(seen.information, column, carried)
+        for b in range(a + 1):
+            entry = _dot(carried, seen.by_geometry[:, b])
+            sums.corner[own, seen.columns[b]] += entry
+            if b < a:
+                sums.corner[seen.columns[b], own] += entry
+        for k in range(moving):
+            moved = seen.by_coordinate[:, layout.free[seen.moving[k]]]
+            sums.border[frame, seen.moving[k], own] += _dot(carried, moved)
 
 
 @njit(cache=True, error_model="numpy")
-def _add_biases(seen: Keypoint, layout: Layout, markers: int, marker: int, sums: Sums, frame: int) -> None:
+def _add_biases(
+    seen: Keypoint, layout: Layout, markers: int, marker: int, moving: int, geometric: int, sums: Sums, frame: int
+) -> None:
     """Add what one keypoint says of each camera's bias for it."""
     row = np.zeros(3)
     for c in range(len(seen.weight)):
@@ -200,26 +251,26 @@ def _add_biases(seen: Keypoint, layout: Layout, markers: int, marker: int, sums:
             continue
         for axis in range(2):
             column = layout.scales + 3 * markers + 2 * (c * markers + marker) + axis
+            sums.shared_gradient[column] += seen.weight[c] * sums.error_px[c, frame, marker, axis]
+            if layout.order < NORMAL_EQUATIONS:
+                continue
             for i in range(3):
                 row[i] = seen.weight[c] * seen.to_pixel[c, axis, i]
-            sums.shared_gradient[column] += seen.weight[c] * sums.error_px[c, frame, marker, axis]
             sums.corner[column, column] += seen.weight[c]
-            for a in range(len(seen.columns)):
+            for a in range(geometric):
                 entry = _dot(row, seen.by_geometry[:, a])
                 sums.corner[column, seen.columns[a]] += entry
                 sums.corner[seen.columns[a], column] += entry
-            for k in range(len(layout.free)):
-                sums.border[frame, k, column] += _dot(row, seen.by_coordinate[:, layout.free[k]])
+            for k in range(moving):
+                moved = seen.by_coordinate[:, layout.free[seen.moving[k]]]
+                sums.border[frame, seen.moving[k], column] += _dot(row, moved)
 
 
 @njit(cache=True, error_model="numpy")
-def _carry(information: Array, column: Array, carried: Array) -> bool:
-    """Fill ``carried`` with Λ · column; False if the column is zero, as most are."""
-    if column[0] == 0.0 and column[1] == 0.0 and column[2] == 0.0:
-        return False
+def _carry(information: Array, column: Array, carried: Array) -> None:
+    """Fill ``carried`` with Λ · column."""
     for i in range(3):
         carried[i] = information[i, 0] * column[0] + information[i, 1] * column[1] + information[i, 2] * column[2]
-    return True
 
 
 @njit(cache=True, error_model="numpy")
