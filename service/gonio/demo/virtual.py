@@ -88,7 +88,7 @@ def film_walk(duration_s: float = DURATION_S) -> VirtualTrial:
     return film(walker, make_rig(), card, effects=PRESETS["occluded"], rate_hz=RATE_HZ, duration_s=duration_s)
 
 
-def write_session(trial: VirtualTrial, folder: Path) -> list[Path]:
+def write_session(trial: VirtualTrial, folder: Path, *, seed: int = 0) -> list[Path]:
     """Write what a laboratory would upload: each camera's keypoints, the calibration, the pressure stream."""
     folder.mkdir(parents=True, exist_ok=True)
     points, calibration, soles = trial.points, folder / "calibration.toml", folder / PRESSURE_FILE
@@ -97,7 +97,7 @@ def write_session(trial: VirtualTrial, folder: Path) -> list[Path]:
         write_poses(path, uv_px, confidence)
     write_toml_calibration(calibration, trial.rig)
     duration_s = points.uv_px.shape[1] / trial.timebase.rate_hz
-    write_pressure(soles, press(trial.walk, errors=SOLES["realistic"], duration_s=duration_s).pressure)
+    write_pressure(soles, press(trial.walk, errors=SOLES["realistic"], duration_s=duration_s, seed=seed).pressure)
     return [*keypoints, calibration, soles]
 
 
