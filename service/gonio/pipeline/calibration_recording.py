@@ -29,6 +29,9 @@ FEW_FOUND, FEW_SHARE = 3, 0.05
 """A wrong card shares some markers with the board, and is found by accident: in less than so many pictures, or less than
 this share of them, the pictures are asked what they show."""
 
+FEW_ROWS_PICTURES = 10
+"""In fewer pictures a row may be out of sight by chance."""
+
 MAX_CAMERAS = 16
 
 
@@ -213,7 +216,7 @@ def _find(
     tracks = find_boards(pictures, board, thorough=thorough, on_progress=share)
     found = sum(int((track.corner_counts > 0).sum()) for track in tracks)
     if found >= max(FEW_FOUND, FEW_SHARE * sum(len(track.frame_numbers) for track in tracks)):
-        return tracks, ()
+        return tracks, _rows_unseen(tracks, board)
     sample = [picture for source in pictures.values() for picture in _spread(source, SAMPLE_PICTURES)]
     if not shows_other_layout(sample, board):
         reason = explain_missing(sample, board, ", ".join(pictures))
@@ -223,6 +226,15 @@ def _find(
     other = replace(board, legacy_pattern=not board.legacy_pattern)
     tracks = find_boards(pictures, other, thorough=thorough, on_progress=share)
     return tracks, (finding("board-layout"),)
+
+
+def _rows_unseen(tracks: Sequence[BoardTrack], board: Board) -> tuple[Finding, ...]:
+    """Tell of the outermost rows of corners that no picture confirmed (:func:`gonio.vision.boards.find_boards`)."""
+    seen = np.any([np.isfinite(track.uv_px[..., 0]).any(axis=0) for track in tracks], axis=0)
+    rows = np.flatnonzero(seen.reshape(board.corners_down, board.corners_across).any(axis=1))
+    unseen = board.corners_down - 1 - int(rows.max(initial=-1))
+    enough = sum(int((track.corner_counts > 0).sum()) for track in tracks) >= FEW_ROWS_PICTURES
+    return (finding("board-rows-unseen", value=unseen),) if unseen and enough and board.kind == "charuco" else ()
 
 
 def _spread(source: Pictures, count: int) -> list[np.ndarray]:

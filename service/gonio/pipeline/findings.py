@@ -9,6 +9,13 @@ from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
 
 KINDS: dict[str, Kind] = {
+    "board-rows-unseen": Kind(
+        "warning",
+        "boards",
+        "The board's outermost {value:g} line(s) of inner corners, below the rows that were seen, were never confirmed: that "
+        "part is covered in all pictures, or the board has fewer rows than its card says. Its corners were left out.",
+        "Hold the board at its other side or by a handle behind it, and count its rows again.",
+    ),
     "board-layout": Kind(
         "info",
         "boards",

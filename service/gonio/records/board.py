@@ -30,11 +30,13 @@ class Board:
     legacy_pattern: bool = False
 
     def __post_init__(self) -> None:
-        if min(self.corners_across, self.corners_down) < 2 or not 0 < self.square_m < 10:
+        least = 3 if self.kind == "checkerboard" else 2
+        if min(self.corners_across, self.corners_down) < least or self.corner_count < 6 or not 0 < self.square_m < 10:
             raise InputError(
                 f"Board {self.name}: {self.corners_across} × {self.corners_down} inner corners of {self.square_m} m "
-                "are no board.",
-                hint="Count the inner corners, at least 2 × 2, and measure a square in metres.",
+                "are no board that can be found.",
+                hint="Count the inner corners, at least 3 × 3 of a checkerboard and 2 × 3 of a ChArUco board, and measure a "
+                "square in metres.",
                 code="board-invalid",
             )
         if self.kind == "charuco" and not (0 < self.marker_m < self.square_m and self.dictionary):

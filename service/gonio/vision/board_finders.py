@@ -25,7 +25,19 @@ AGREEING = 0.8
 """This share of the markers in a picture must be the card's, and in their places within their square."""
 
 ROW_SEEN = 20
-"""A row whose markers were seen so often, in five pictures or more, while the next one's never were, is the board's last."""
+"""A row whose markers were seen so often, in five pictures or more, while the next one's never were, is the board's last
+one or the last one that is not covered."""
+
+BARE_STRIP = 0.15
+"""This far below the last row's squares, as a share of one, a board that ends there shows bare paper; the next row would
+show its dark squares."""
+
+LIGHT_SHARE, BARE_SHARE = 0.7, 0.6
+"""Bare paper is as light as this, between dark and light squares; and in this share of the pictures."""
+
+LINE_CONTRAST, LINE_BEYOND = 0.25, 0.5
+"""The squares of a checkerboard's outermost line must differ by so much of what those inside it do (a hand may cover some);
+those of a line beyond it, which a larger board would show, by less than this."""
 
 SEARCH_SIDE_PX = 960
 """A checkerboard is searched for in a picture of at most this size, and its corners are then located in the whole one."""
@@ -42,7 +54,7 @@ class BoardFinder(Protocol):
 
     @property
     def shown(self) -> Counter[int]:
-        """How many markers were seen in each row of squares, the one below the last included; for find_contradiction."""
+        """How many markers were seen in each row of squares, the one below the last included; for last_row_seen."""
         ...
 
 
@@ -55,27 +67,56 @@ def open_finder(board: Board) -> BoardFinder:
     return CharucoFinder(board) if board.kind == "charuco" else CheckerboardFinder(board)
 
 
-def find_contradiction(board: Board, shown: Iterable[Counter[int]]) -> str:
-    """Say what in the pictures of a ChArUco board contradicts its card; empty where nothing does.
+def last_row_seen(board: Board, shown: Iterable[Counter[int]]) -> int:
+    """Give the last row of squares whose markers were ever seen, by a ChArUco board's card the last is ``corners_down``.
 
-    A card with too many rows, or one too few, fits the board everywhere else: its corners are found, those of a row that
-    does not exist at the paper's edge.
+    More than that if the pictures show a row that the card has not; and the card's own last one where too little was seen
+    to tell.
 
     Args:
         board: What the card says.
         shown: What the finders of all cameras saw (:attr:`BoardFinder.shown`).
     """
     total: Counter[int] = sum(shown, Counter())
-    across, down = board.corners_across, board.corners_down
+    down = board.corners_down
     if total[down + 1] >= ROW_SEEN:
-        return f"the card says {across} × {down} inner corners, the pictures show more rows than that"
+        return down + 1
     last = max((row for row in range(down + 1) if total[row]), default=down)
-    if last < down and total[last] >= ROW_SEEN:
-        return (
-            f"the card says {across} × {down} inner corners, the pictures never show "
-            f"the outermost {'row' if last == down - 1 else f'{down - last} rows'}"
-        )
-    return ""
+    return last if total[last] >= ROW_SEEN else down
+
+
+def ends_after(
+    grey: UInt8[np.ndarray, "height width"], uv_px: Float[np.ndarray, "corner 2"], board: Board, row: int
+) -> bool | None:
+    """Say whether bare paper follows a row of a ChArUco board's squares (dark on light); None where it can't be seen.
+
+    A row that is covered in all pictures and one that the board does not have look alike to the detector. Under the last
+    row of a board there is its margin, light all along; under any other one every second square is dark.
+    """
+    across = np.arange(board.corners_across + 1) - 0.5
+    below = _sample(grey, uv_px, board, np.column_stack([across, np.full_like(across, row + BARE_STRIP)]))
+    columns, rows = np.meshgrid(np.arange(board.corners_across + 1), np.arange(row + 1))
+    edge = (1 - board.marker_m / board.square_m) / 4  # half-way from a square's side to its marker
+    beside = _sample(grey, uv_px, board, np.column_stack([columns.ravel() - 1 + edge, rows.ravel() - 1 + edge]))
+    if np.isnan(below).any() or np.isnan(beside).sum() > beside.size / 2:
+        return None
+    dark, light = np.nanpercentile(beside, [20, 80])
+    return bool((below > dark + LIGHT_SHARE * (light - dark)).all())
+
+
+def _sample(
+    grey: UInt8[np.ndarray, "height width"],
+    uv_px: Float[np.ndarray, "corner 2"],
+    board: Board,
+    places: Float[np.ndarray, "place 2"],
+) -> Float[np.ndarray, " place"]:
+    """Give the grey values at places of the board's plane, in squares from the first inner corner; NaN outside the picture."""
+    seen = np.isfinite(uv_px[:, 0])
+    H, _ = cv2.findHomography(board.corners_board_m[seen, :2] / board.square_m, uv_px[seen])
+    at = cv2.perspectiveTransform(places[:, None].astype(np.float64), H)[:, 0]
+    inside = np.all((at >= 0) & (at <= np.array(grey.shape[::-1]) - 1), axis=1)
+    values = cv2.remap(grey, at[:, None].astype(np.float32), None, cv2.INTER_LINEAR)[:, 0].astype(np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType] - the second map is optional
+    return np.where(inside, values, np.nan)
 
 
 def wrong_card(board: Board, shown: str) -> InputError:
@@ -143,7 +184,7 @@ class CharucoFinder:
         self._quick = cv2.aruco.CharucoDetector(made, parameters, quick)
         self._markers = _marker_places(board)
         self._beyond = self._markers | _row_beyond(board)
-        self.shown: Counter[int] = Counter()  # nothing: only a checkerboard of just this size is found
+        self.shown: Counter[int] = Counter()
 
     def find(
         self, grey: UInt8[np.ndarray, "height width"], *, thorough: bool = False
@@ -247,18 +288,21 @@ class CheckerboardFinder:
         exact = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
         for flags in (exact,) if thorough else (cv2.CALIB_CB_EXHAUSTIVE, exact):
             found, corners = cv2.findChessboardCornersSB(region, self._size, flags=flags)
-            if found and (located := self._whole(np.asarray(corners).reshape(-1, 2) + first)) is not None:
+            if found and (located := self._whole(grey, np.asarray(corners).reshape(-1, 2) + first)) is not None:
                 return located
         window = max(2, int(0.25 * square_px))
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
         start = rough_px.astype(np.float32).reshape(-1, 1, 2)
         refined = cv2.cornerSubPix(grey, start, (window, window), (-1, -1), stop)
-        return self._whole(np.asarray(refined).reshape(-1, 2))
+        return self._whole(grey, np.asarray(refined).reshape(-1, 2))
 
-    def _whole(self, uv_px: np.ndarray) -> Float[np.ndarray, "corner 2"] | None:
-        """Accept a board only with all of its corners: there is nothing that could tell a part of it from the whole."""
+    def _whole(
+        self, grey: UInt8[np.ndarray, "height width"], uv_px: np.ndarray
+    ) -> Float[np.ndarray, "corner 2"] | None:
+        """Accept a board only with all of its corners, and no part of a larger one: no marker tells which part it is."""
         gated = gate(uv_px.astype(np.float64), self._board, right_handed=False)
-        return gated if gated is not None and np.isfinite(gated).all() else None
+        whole = gated is not None and np.isfinite(gated).all() and is_whole(grey, gated, self._board)
+        return gated if whole else None
 
     def _ordered(self, grey: np.ndarray, uv_px: Float[np.ndarray, "corner 2"]) -> Float[np.ndarray, "corner 2"]:
         """Number the corners as seen from the front, the first one beside the dark square of the board's outer corner."""
@@ -268,6 +312,34 @@ class CheckerboardFinder:
         if not self._board.is_ambiguous and not _starts_dark(grey, rows):
             rows = rows[::-1, ::-1]
         return rows.reshape(-1, 2).copy()
+
+
+def is_whole(grey: UInt8[np.ndarray, "height width"], uv_px: Float[np.ndarray, "corner 2"], board: Board) -> bool:
+    """Say whether a checkerboard's outermost squares are where its card says, and none further out.
+
+    The detector finds a part of a larger board, and beside a smaller one takes the paper's edge for a line of corners.
+    """
+    rows, columns = np.arange(-1, board.corners_down + 2), np.arange(-1, board.corners_across + 2)
+    row, column = np.meshgrid(rows, columns, indexing="ij")  # of squares: 0 is the outermost, -1 beyond it
+    places = np.column_stack([column.ravel() - 0.5, row.ravel() - 0.5])
+    values = _sample(grey, uv_px, board, places).reshape(row.shape)
+    even = (row + column) % 2 == 0
+
+    def contrast(line: tuple[slice | int, slice | int]) -> float:
+        of_even, of_odd = values[line][even[line]], values[line][~even[line]]
+        return float(np.nanmedian(of_even) - np.nanmedian(of_odd)) if _any(of_even) and _any(of_odd) else np.nan
+
+    usual = contrast((slice(2, -2), slice(2, -2)))
+    if usual == 0:
+        return False
+    along = slice(1, -1)
+    outermost = [contrast(line) / usual for line in ((1, along), (-2, along), (along, 1), (along, -2))]
+    beyond = [contrast(line) / usual for line in ((0, along), (-1, along), (along, 0), (along, -1))]
+    return not any(c < LINE_CONTRAST for c in outermost) and not any(c > LINE_BEYOND for c in beyond)
+
+
+def _any(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).any())
 
 
 def unscaled(corners: np.ndarray, shape: tuple[int, ...], small: tuple[int, ...]) -> Float[np.ndarray, "corner 2"]:

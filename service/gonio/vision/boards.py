@@ -17,7 +17,16 @@ from jaxtyping import Float, UInt8
 
 from gonio.errors import CaptureError
 from gonio.records import Board, BoardTrack
-from gonio.vision.board_finders import BoardFinder, find_contradiction, open_finder, square_size_px, wrong_card
+from gonio.vision.board_finders import (
+    BARE_SHARE,
+    MIN_CORNERS,
+    BoardFinder,
+    ends_after,
+    last_row_seen,
+    open_finder,
+    square_size_px,
+    wrong_card,
+)
 from gonio.vision.sessions import available_cores
 from gonio.vision.video import iterate_frames
 
@@ -27,6 +36,9 @@ image only when every other hope is gone, for few film a board through its paper
 
 ENOUGH_VOTES = 3
 PROGRESS_EVERY_S = 0.2
+ROW_PICTURES = 12
+"""So many of a camera's pictures are asked whether the board ends where its card has one row more."""
+
 PROBE_EVERY = 8
 """Of the pictures without a board, every so many are tried in the other way too: somebody may have turned it round."""
 
@@ -116,9 +128,26 @@ def find_boards(
                 future.result()
     finally:
         cv2.setNumThreads(threads)
-    if contradiction := find_contradiction(board, [search.finder.shown for search in searches]):
-        raise wrong_card(board, contradiction)
+    last = last_row_seen(board, [search.finder.shown for search in searches]) if board.kind == "charuco" else None
+    if last is not None and last != board.corners_down:
+        _refuse_other_rows(searches, board, last)
+        for search in searches:
+            search.leave_out_after(last)
     return tuple(search.track() for search in searches)
+
+
+def _refuse_other_rows(searches: Sequence["_Search"], board: Board, last: int) -> None:
+    """Refuse a card with more or fewer rows than the board; not one whose last rows are only covered in all pictures.
+
+    Such a card fits the board everywhere else: its corners are found, those of a row that does not exist at the paper's edge.
+    """
+    card = f"the card says {board.corners_across} × {board.corners_down} inner corners, the pictures"
+    if last > board.corners_down:
+        raise wrong_card(board, f"{card} show more rows than that")
+    ends = [end for search in searches for end in search.ends_after(last) if end is not None]
+    if ends and sum(ends) >= BARE_SHARE * len(ends):
+        unseen = board.corners_down - last
+        raise wrong_card(board, f"{card} never show the outermost {'row' if unseen == 1 else f'{unseen} rows'}")
 
 
 def _find_polarity(searches: Sequence["_Search"], board: Board, pool: ThreadPoolExecutor) -> bool:
@@ -208,6 +237,23 @@ class _Search:
                 hint="Give the pictures of one camera in one mode only; another resolution or zoom is another camera.",
                 code="pictures-differ-in-size",
             )
+
+    def ends_after(self, row: int) -> list[bool | None]:
+        """Say of some pictures whether the board ends after a row of its squares (:func:`ends_after`)."""
+        numbers = sorted(self.found)
+        some = set(numbers[:: max(1, len(numbers) // ROW_PICTURES)])
+        pictures = ((self.found[number], grey) for number, grey in self._pictures() if number in some)
+        return [
+            ends_after(255 - grey if found.look.inverted else grey, found.uv_px, self._board, row)
+            for found, grey in pictures
+        ]
+
+    def leave_out_after(self, row: int) -> None:
+        """Leave out the corners that only squares beyond a row confirm: there may be a hand, or the paper's edge."""
+        first = row * self._board.corners_across
+        for found in self.found.values():
+            found.uv_px[first:] = np.nan
+        self.found = {n: f for n, f in self.found.items() if np.isfinite(f.uv_px[:, 0]).sum() >= MIN_CORNERS}
 
     def track(self) -> BoardTrack:
         """Give what was found, picture by picture."""

@@ -143,6 +143,34 @@ def test_a_card_with_other_rows_than_the_board_is_refused_by_name(rows, words) -
     assert words in caught.value.message
 
 
+def test_a_row_that_is_always_covered_is_left_out_and_not_refused() -> None:
+    pictures, corners = shoot(BOARD, seeds=range(8))
+    last = BOARD.corners_down - 1
+    covered = np.array([[-1.3, last + 0.03], [7.3, last + 0.03], [7.3, last + 1.5], [-1.3, last + 1.5]])
+    for picture, seen in zip(pictures, corners, strict=True):
+        H, _ = cv2.findHomography(BOARD.corners_board_m[:, :2] / BOARD.square_m, seen)
+        cv2.fillConvexPoly(picture, cv2.perspectiveTransform(covered[:, None], H).astype(int), 70)
+    track = find(pictures, BOARD)
+    rows = track.uv_px.reshape(8, BOARD.corners_down, BOARD.corners_across, 2)
+    assert np.isfinite(rows[:, :last]).all()
+    assert np.isnan(rows[:, last]).all()
+
+
+@pytest.mark.parametrize(("across", "down"), [(8, 4), (6, 3), (7, 5), (6, 4)])
+def test_a_checkerboard_with_another_count_of_squares_is_not_taken_for_the_cards(across, down) -> None:
+    pictures, _ = shoot(CHECKERS)
+    card = replace(CHECKERS, corners_across=across, corners_down=down)
+    assert not find(pictures, card, thorough=True).corner_counts.any()
+    assert "7 × 4" in explain_missing(pictures, card, "cam").message
+
+
+@pytest.mark.parametrize(("kind", "across", "down"), [("checkerboard", 7, 2), ("charuco", 2, 2), ("charuco", 1, 8)])
+def test_boards_that_no_detector_can_find_are_refused(kind, across, down) -> None:
+    with pytest.raises(InputError) as caught:
+        replace(BOARD, kind=kind, corners_across=across, corners_down=down)
+    assert caught.value.code == "board-invalid"
+
+
 def test_a_checkerboard_of_another_size_is_named() -> None:
     pictures, _ = shoot(CHECKERS)
     reason = explain_missing(pictures, replace(CHECKERS, corners_across=9, corners_down=6), "cam")

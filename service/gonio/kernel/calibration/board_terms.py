@@ -190,3 +190,39 @@ def move_frames(
                     velocity_px_s[camera, frame, corner, row] = (
                         slopes[row, 19] * speed[0] + slopes[row, 20] * speed[1] + slopes[row, 21] * speed[2]
                     )
+
+
+@njit(cache=True, nogil=True)
+def score_boards(
+    theta: Array, Ts_cam_board: Array, corners_board_m: Array, uv_px: Array, clipped_px: float, rms_px: Array
+) -> None:
+    """Write how far boards posed otherwise, (pose, frame, 4, 4), are from their corners (frame, corner, 2) in the picture.
+
+    The root mean square over a frame's corners, each clipped, goes to ``rms_px`` (pose, frame); NaN where the frame has
+    none. A corner behind the camera, or of a pose that is NaN, is as far off as can be. The delay plays no part.
+    """
+    fx, fy, cx, cy = theta[FOCAL], theta[FOCAL] * theta[ASPECT], theta[CX], theta[CY]
+    k1, k2, p1, p2, k3 = theta[K1], theta[K2], theta[P1], theta[P2], theta[K3]
+    most = clipped_px * clipped_px
+    for frame in range(uv_px.shape[0]):
+        for pose in range(Ts_cam_board.shape[0]):
+            T = Ts_cam_board[pose, frame]
+            total, seen = 0.0, 0
+            for corner in range(uv_px.shape[1]):
+                u, v = uv_px[frame, corner, 0], uv_px[frame, corner, 1]
+                if np.isnan(u):
+                    continue
+                seen += 1
+                px, py, pz = turn(T, corners_board_m[corner, 0], corners_board_m[corner, 1], corners_board_m[corner, 2])
+                pz += T[2, 3]
+                if not pz > 0.0:
+                    total += most
+                    continue
+                x, y = (px + T[0, 3]) / pz, (py + T[1, 3]) / pz
+                r2 = x * x + y * y
+                radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+                across = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx - u
+                down = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy - v
+                squared = across * across + down * down
+                total += squared if squared < most else most
+            rms_px[pose, frame] = np.sqrt(total / seen) if seen else np.nan

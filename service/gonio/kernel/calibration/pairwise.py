@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from gonio.errors import CaptureError
+from gonio.kernel.calibration.board_terms import score_boards
 from gonio.kernel.calibration.planar_pose import BoardPoses, locate_board
-from gonio.kernel.geometry.cameras import distort
 from gonio.kernel.geometry.transforms import inverse
 from gonio.records import Camera, record
 
@@ -31,6 +31,9 @@ FEW_VIEWS_COST = 10.0
 
 TRIAL_FRAMES = 40
 """More pictures than these are not tried as candidates: they are spread over the recording."""
+
+HEAT_FRAMES, FINALISTS = 24, 32
+"""All candidates are tried on so many pictures first, and so many of them then on all."""
 
 
 @record
@@ -76,16 +79,14 @@ class _Sights:
 
     def errors_px(self, camera: int, T_cam_board: Float[np.ndarray, "*batch frame 4 4"]) -> np.ndarray:
         """Give the rms reprojection error in a camera of boards posed otherwise, clipped; NaN where it sees none."""
-        xyz = np.einsum("...fij,kj->...fki", T_cam_board[..., :3, :3], self.corners_board_m)
-        xyz = xyz + T_cam_board[..., None, :3, 3]
-        depth = np.where(xyz[..., 2:] > 0, xyz[..., 2:], np.nan)
-        distorted, _ = distort(xyz[..., :2] / depth, self.cameras[camera].distortion)
-        K = self.cameras[camera].intrinsic_px
-        squared = ((distorted @ K[:2, :2].T + K[:2, 2] - self.uv_px[camera]) ** 2).sum(axis=-1)
-        seen = np.isfinite(self.uv_px[camera, :, :, 0])
-        squared = np.where(np.isfinite(squared), np.minimum(squared, CLIPPED_PX**2), CLIPPED_PX**2)
-        with np.errstate(invalid="ignore"):
-            return np.sqrt(np.where(seen, squared, 0.0).sum(axis=-1) / np.where(seen.any(-1), seen.sum(-1), np.nan))
+        lens = self.cameras[camera]
+        K = lens.intrinsic_px
+        theta = np.array([K[0, 0], K[1, 1] / K[0, 0], K[0, 2], K[1, 2], *lens.distortion, 0.0])
+        batch = int(np.prod(T_cam_board.shape[:-3]))
+        poses = np.ascontiguousarray(T_cam_board.reshape(batch, *T_cam_board.shape[-3:]))
+        rms_px = np.empty(poses.shape[:2])
+        score_boards(theta, poses, self.corners_board_m, np.ascontiguousarray(self.uv_px[camera]), CLIPPED_PX, rms_px)
+        return rms_px.reshape(T_cam_board.shape[:-2])
 
 
 def arrange(
@@ -169,14 +170,30 @@ def _attach(
     trial = common[np.unique(np.linspace(0, len(common) - 1, min(len(common), TRIAL_FRAMES)).astype(int))]
     candidates = (own[trial][:, :, None] @ inverse(Ts_ref_board[trial])[:, None]).reshape(-1, 4, 4)
     candidates = candidates[np.isfinite(candidates[:, 0, 0])]
-    errors = np.full((len(candidates), len(common)), np.inf)
-    there = replace(sights, uv_px=sights.uv_px[:, common])
-    for option in range(Ts_ref_board.shape[1]):
-        posed = candidates[:, None] @ Ts_ref_board[common, option]
-        errors = np.fmin(errors, there.errors_px(camera, posed))
-    mean = errors.mean(axis=1)
+    if len(candidates) > FINALISTS and len(common) > HEAT_FRAMES:
+        few = common[np.unique(np.linspace(0, len(common) - 1, HEAT_FRAMES).astype(int))]
+        best = np.argsort(_misses_px(sights, Ts_ref_board, candidates, camera, few), kind="stable")
+        candidates = candidates[best[:FINALISTS]]
+    mean = _misses_px(sights, Ts_ref_board, candidates, camera, common)
     best = int(np.argmin(mean))
     return candidates[best], float(mean[best]), len(common)
+
+
+def _misses_px(
+    sights: _Sights,
+    Ts_ref_board: Float[np.ndarray, "frame option 4 4"],
+    Ts_cam_ref: Float[np.ndarray, "candidate 4 4"],
+    camera: int,
+    frames: Int[np.ndarray, " chosen"],
+) -> Float[np.ndarray, " candidate"]:
+    """Give the mean error of candidates for a camera's pose, each picture with the pose of its board that suits it best."""
+    errors = np.full((len(Ts_cam_ref), len(frames)), np.inf)
+    there = replace(sights, uv_px=sights.uv_px[:, frames])
+    for option in range(Ts_ref_board.shape[1]):
+        posed = Ts_cam_ref[:, None] @ Ts_ref_board[frames, option]
+        known = np.isfinite(Ts_ref_board[frames, option, 0, 0])
+        errors = np.fmin(errors, np.where(known, there.errors_px(camera, posed), np.inf))
+    return errors.mean(axis=1)
 
 
 def _spread_out(
