@@ -69,12 +69,11 @@ def serve(
 
 @app.command()
 def worker() -> None:
-    """Join the service as one more worker, from this or another machine."""
-    from gonio.jobs.worker import run_worker
-    from gonio.pipeline.rivers import RIVERS
+    """Join the service with GONIO_WORKERS more workers, from this or another machine; Ctrl-C stops them."""
+    from gonio.jobs.supervisor import supervise
     from gonio.settings import Settings
 
-    run_worker(Settings(), RIVERS)
+    supervise(Settings())
 
 
 @app.command()

@@ -60,7 +60,7 @@ def test_a_taken_port_is_a_clear_error(tmp_path):
 
 
 def test_an_unsupported_database_is_a_clear_error_that_hides_the_password(tmp_path):
-    settings = Settings(data_dir=tmp_path, port=0, database_url="postgresql://gonio:hunter2@db/gonio")
+    settings = Settings(data_dir=tmp_path, port=0, database_url="mysql://gonio:hunter2@db/gonio")
     with pytest.raises(GonioError) as caught:
         serve(settings)
     assert caught.value.code == "database-unsupported"

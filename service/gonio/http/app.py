@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
@@ -17,7 +18,7 @@ from gonio.errors import GonioError
 from gonio.http import problems
 from gonio.http.dashboard import add_dashboard
 from gonio.http.middleware import Envelope
-from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions
+from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions, uploads
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
@@ -91,9 +92,11 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(Exception, problems.of_unforeseen_error)
     app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
     app.add_exception_handler(GonioError, problems.of_gonio_error)
+    app.add_exception_handler(OperationalError, problems.of_database_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
-    for module in (sessions, files, analyses, jobs, reports, calibrations, keys, meta):
+    for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, meta):
         app.include_router(module.router)
+    app.include_router(uploads.discovery)
     add_dashboard(app)
     return app

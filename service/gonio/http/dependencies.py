@@ -39,20 +39,19 @@ KEY_COOKIE = "gonio_key"
 _BASIC = HTTPBasic(auto_error=False, scheme_name="password", description="For browsers: any name, the key as password.")
 
 
-def _caller(
+def _known_caller(
     request: Request,
     service: TheService,
     settings: TheSettings,
     bearer: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)],
     basic: Annotated[HTTPBasicCredentials | None, Depends(_BASIC)],
 ) -> Caller:
-    """Find out who asks, and refuse who may not do what the method does.
+    """Find out who asks.
 
     Raises:
-        InputError: ``key-missing``, ``key-invalid``, ``scope-missing`` or ``foreign-page``.
+        InputError: ``key-missing``, ``key-invalid`` or ``foreign-page``.
     """
-    changes = request.method not in ("GET", "HEAD")
-    if changes:
+    if _changes(request):
         refuse_foreign_pages(request)
     cookie = request.cookies.get(KEY_COOKIE, "")
     key = bearer.credentials if bearer else basic.password if basic else cookie
@@ -69,7 +68,14 @@ def _caller(
         raise InputError(
             "The key is unknown, has expired or was revoked.", hint="Ask your lab for a valid one.", code="key-invalid"
         )
-    return _allowed(caller, "write" if changes else "read")
+    return caller
+
+
+_KnownCaller = Annotated[Caller, Depends(_known_caller)]
+
+
+def _changes(request: Request) -> bool:
+    return request.method not in ("GET", "HEAD")
 
 
 def refuse_foreign_pages(request: Request) -> None:
@@ -108,8 +114,21 @@ def _allowed(caller: Caller, scope: Scope) -> Caller:
     return caller
 
 
+def _caller(request: Request, caller: _KnownCaller) -> Caller:
+    """Refuse who may not do what the method does."""
+    return _allowed(caller, "write" if _changes(request) else "read")
+
+
 TheCaller = Annotated[Caller, Depends(_caller)]
 """Who asks. Every route that reads or writes anything asks for it, or for the lab alone."""
+
+
+def _writer(caller: _KnownCaller) -> Caller:
+    return _allowed(caller, "write")
+
+
+Writer = Annotated[Caller, Depends(_writer)]
+"""Who asks, for a route that belongs to writing whatever its method is."""
 
 
 def _administrator(caller: TheCaller) -> Caller:

@@ -48,6 +48,8 @@ class _Answer:
             headers.setdefault("referrer-policy", "no-referrer")
             headers.setdefault("content-security-policy", CONTENT_POLICY)
             headers.setdefault("x-frame-options", "SAMEORIGIN")
+            if "/uploads" in self._scope["path"]:  # tus wants it on every answer, also on a problem
+                headers["tus-resumable"] = "1.0.0"
             if message["status"] >= 400 and headers.get("content-type", "").startswith("text/plain"):
                 self._replaced = True
                 await self._replace(message["status"], Headers(scope=message))

@@ -12,11 +12,14 @@ from uuid import uuid4
 
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from gonio import errors
+from gonio.jobs.database import database_unreachable
 from gonio.jobs.failure import describe
+from gonio.jobs.store import disk_full
 
 log = logging.getLogger(__name__)
 
@@ -85,6 +88,15 @@ KINDS: Mapping[str, Kind] = {
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
     "file-too-large": Kind(413, "File too large", "The file is larger than GONIO_MAX_UPLOAD_BYTES."),
     "upload-truncated": Kind(400, "Upload truncated", "The form ended before its last part did. Nothing was kept."),
+    "quota-exceeded": Kind(507, "Quota exceeded", "The lab keeps as much as it may, GONIO_LAB_QUOTA_BYTES."),
+    "upload-locked": Kind(423, "Upload locked", "Another request writes to this upload at the moment."),
+    "upload-offset-wrong": Kind(409, "Offset wrong", "The piece begins elsewhere than the upload stands."),
+    "upload-checksum-wrong": Kind(
+        460, "Checksum mismatch", "The piece was damaged on its way; nothing of it was kept."
+    ),
+    "upload-too-long": Kind(413, "Upload too long", "More bytes came than were announced; the piece was not kept."),
+    "upload-header-wrong": Kind(400, "Header wrong", "A header of the upload can't be read; the detail says which."),
+    "tus-version-unsupported": Kind(412, "Version of tus unsupported", "This service speaks tus 1.0.0."),
     "disk-full": Kind(507, "Disk full", "The service has no room for the file."),
     "not-a-video": Kind(422, "Not a video", "The file is no video container that gonio opens."),
     "no-video-stream": Kind(422, "No video stream", "The file is a container without pictures."),
@@ -106,11 +118,19 @@ KINDS: Mapping[str, Kind] = {
     "internal-error": Kind(500, "Internal error", "A fault of gonio's own; its log explains the `reference`."),
     "worker-crashed": Kind(500, "Worker crashed", "The analysis ended the process that computed it."),
     "artefact-damaged": Kind(500, "Artefact damaged", "An intermediate result is missing or has changed on the disk."),
+    "database-unreachable": Kind(503, "Database unreachable", "The service can't use its database at the moment."),
+    "store-unreachable": Kind(503, "Store unreachable", "The service can't use its store of files at the moment."),
     "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),
 }
 
 GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page")
 """How every route may fail that belongs to a lab."""
+
+ANYWHERE = ("internal-error", "database-unreachable", "store-unreachable")
+"""How every route may fail."""
+
+RETRY_AFTER_S = 5
+"""When to ask again what is out of reach now."""
 
 _SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
@@ -136,7 +156,7 @@ def entry_of(code: str, class_name: str = "") -> str:
 def fails(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Document for OpenAPI how a route may fail; every route may fail by an invalid request or a fault of ours."""
     responses: dict[int | str, dict[str, Any]] = {}
-    for code in (*codes, "invalid-request", "internal-error"):
+    for code in (*codes, "invalid-request", *ANYWHERE):
         kind = KINDS[code]
         entry = responses.setdefault(kind.status, {"description": "", "content": {MEDIA_TYPE: {"schema": _SCHEMA}}})
         entry["description"] += f"* `{code}`: {kind.meaning}\n"
@@ -175,11 +195,22 @@ def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
     answer = problem(
         request, told["code"], told["message"], hint=told["hint"], class_name=told["kind"], members=told["details"]
     )
+    if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE:
+        log.warning("%s at %s %r: %s", told["code"], request.method, request.url.path, error.__cause__)
+        answer.headers["Retry-After"] = str(RETRY_AFTER_S)
     if answer.status_code == HTTPStatus.UNAUTHORIZED:
         # A browser that wants a page asks its user for the password; a script's request must not make it ask.
         wants_page = "text/html" in request.headers.get("accept", "")
         answer.headers["WWW-Authenticate"] = f'{"Basic" if wants_page else "Bearer"} realm="gonio"'
     return answer
+
+
+def of_database_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer that the database is out of reach, or that its disk is full."""
+    assert isinstance(error, OperationalError)
+    told = disk_full() if "is full" in str(error.orig) else database_unreachable()
+    told.__cause__ = error.orig
+    return of_gonio_error(request, told)
 
 
 def of_http_error(request: Request, error: Exception) -> JSONResponse:

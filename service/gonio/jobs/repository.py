@@ -71,9 +71,17 @@ class Repository:
         """Give a file of a session, or raise ``not-found``."""
         return self._one(FileRow, FileRow.session_id == session_id, FileRow.id == file_id)
 
+    def find_file(self, file_id: str) -> FileRow | None:
+        """Give a file if there is one."""
+        return self._db.scalar(self._select(FileRow).where(FileRow.id == file_id))
+
     def file_named(self, session_id: str, name: str) -> FileRow | None:
         """Give the file of a session that has this name, if there is one."""
         return self._db.scalar(self._select(FileRow).where(FileRow.session_id == session_id, FileRow.name == name))
+
+    def count_file_bytes(self) -> int:
+        """Tell how much all files of the lab hold."""
+        return self._db.scalar(sa.select(sa.func.sum(FileRow.size)).where(FileRow.lab == self._lab)) or 0
 
     def job(self, job_id: str) -> JobRow:
         """Give a job, or raise ``not-found``."""
@@ -130,15 +138,32 @@ class Repository:
         self._db.delete(row)
         self._db.flush()
 
-    def change_job(self, job_id: str, expected: Sequence[JobState], **values: Any) -> bool:  # noqa: ANN401 - columns
-        """Change a job if it is in an expected state, and tell whether it was: the guard of every transition."""
-        changed = self._db.scalars(
-            sa.update(JobRow)
-            .where(JobRow.lab == self._lab, JobRow.id == job_id, JobRow.state.in_(expected))
-            .values(**values)
-            .returning(JobRow.id)
-        )
-        return changed.first() is not None
+    def change_job(
+        self,
+        job_id: str,
+        expected: Sequence[JobState],
+        *,
+        of_generation: int | None = None,
+        **values: Any,  # noqa: ANN401 - columns
+    ) -> bool:
+        """Change a job if it is in an expected state, and tell whether it was: the guard of every transition.
+
+        An ``of_generation`` that is not the job's present one changes nothing either: it comes from a worker that lost the job.
+        """
+        query = sa.update(JobRow).where(JobRow.lab == self._lab, JobRow.id == job_id, JobRow.state.in_(expected))
+        if of_generation is not None:
+            query = query.where(JobRow.generation == of_generation)
+        return self._db.scalars(query.values(**values).returning(JobRow.id)).first() is not None
+
+    def lose_job(self, job_id: str, takeovers: int, steps: int) -> None:
+        """Note that a worker died over a job: from now on, what may still come from it is refused."""
+        values = {"takeovers": takeovers, "steps_at_takeover": steps, "generation": JobRow.generation + 1}
+        self._db.execute(sa.update(JobRow).where(JobRow.lab == self._lab, JobRow.id == job_id).values(values))
+
+    def count_active_jobs(self) -> int:
+        """Tell how many jobs wait or are being computed."""
+        query = sa.select(sa.func.count()).where(JobRow.lab == self._lab, JobRow.state.in_(ACTIVE))
+        return self._db.scalar(query) or 0
 
     def _select(self, kind: type[R]) -> sa.Select[R]:
         return sa.select(kind).where(kind.lab == self._lab)

@@ -8,20 +8,20 @@ from typing import Any
 from uuid import NAMESPACE_URL, uuid4, uuid5
 
 import sqlalchemy as sa
-from dbos import DBOSClient, DBOSPortableJSONSerializer
 from sqlalchemy.exc import IntegrityError
 
-from gonio.errors import CaptureError, InputError
+from gonio.errors import CaptureError, InputError, ResourceError
 from gonio.jobs.access import Access
 from gonio.jobs.database import Database
 from gonio.jobs.filenames import check_role, guess_role
+from gonio.jobs.partial import PartialUploads, Upload, Whole
 from gonio.jobs.probe import Probe
+from gonio.jobs.queue import Queue
 from gonio.jobs.repository import Place, Repository
-from gonio.jobs.runner import PROGRESS
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
-from gonio.jobs.workflow import APPLICATION, QUEUE, WORKFLOW, session_prefix
+from gonio.jobs.workflow import session_prefix
 from gonio.pipeline.run import Role
 from gonio.settings import Settings
 
@@ -44,20 +44,18 @@ class Service:
         self.spool = Spool(
             settings.data_dir / "spool", limit=settings.max_upload_bytes, free_disk_floor=settings.free_disk_floor
         )
-        self.spool.sweep()
+        self.uploads = PartialUploads(settings.data_dir / "uploads", self.spool, settings.upload_hours * 3600)
+        self._quota_bytes = settings.lab_quota_bytes
+        self.sweep()
         self._probe = probe
         self._database = Database(settings.resolved_database_url)
         self.access = Access(self._database)
         self._store = Store.open(settings.resolved_objects_url)
-        self._queue = DBOSClient(
-            system_database_url=settings.resolved_database_url,
-            application_name=APPLICATION,
-            serializer=DBOSPortableJSONSerializer(),
-        )
+        self._queue = Queue(settings.resolved_database_url)
 
     def close(self) -> None:
         """Close all connections."""
-        self._queue.destroy()
+        self._queue.close()
         self._database.close()
 
     def check(self) -> None:
@@ -65,6 +63,11 @@ class Service:
         with self._database.read() as session:
             session.execute(sa.text("SELECT 1"))
         self.spool.check_room(0)
+
+    def sweep(self) -> None:
+        """Remove uploads whose sender or server is gone for good."""
+        self.spool.sweep()
+        self.uploads.sweep()
 
     def create_session(
         self, lab: str, *, kind: str, name: str, subject: dict[str, Any], calibration_id: str | None = None
@@ -98,14 +101,58 @@ class Service:
             _refuse_when_busy(repository, session_id)
             jobs = [job.id for job in repository.jobs_of(session_id)]
             repository.delete(row)
-        if jobs:
-            self._queue.delete_workflows(jobs)
+        self._queue.forget(jobs)
+        self.uploads.delete_of_session(session_id)
         self._store.delete(session_prefix(lab, session_id))
 
+    def begin_upload(
+        self, lab: str, session_id: str, name: str, role: Role | None, camera: str | None, length: int
+    ) -> Upload:
+        """Begin an upload that can be gone on with after a cut; what can be known to be wrong is refused now.
+
+        Raises:
+            InputError: ``not-found``, ``role-unknown``, ``role-wrong``, ``camera-missing`` or ``file-too-large``.
+            ResourceError: ``quota-exceeded`` or ``disk-full``.
+        """
+        with self._reading(lab) as repository:
+            kind = repository.session(session_id).kind
+            check_role(role or guess_role(name, kind), name, kind, camera)
+            self._check_quota(repository, length)
+        return self.uploads.create(lab, session_id, name, role, camera, length)
+
+    def finish_upload(self, lab: str, upload: Upload) -> Upload:
+        """Accept the file of a locked upload that is whole; if it is refused, the upload is removed, as a form's is.
+
+        A server may be killed in the middle of it. The file then has the upload's id, if it was accepted at all.
+        """
+        if upload.file_id:
+            return upload
+        with self._reading(lab) as repository:
+            accepted = repository.find_file(upload.id)
+        if accepted is not None:
+            return self.uploads.end(upload, accepted.id)
+        if self.uploads.offset(upload) < upload.length:
+            return upload
+        whole = self.uploads.whole(upload)
+        try:
+            row, _ = self.accept_file(lab, upload.session_id, whole, upload.role, upload.camera, upload.id)
+        except (InputError, CaptureError):
+            self.uploads.delete(upload)
+            raise
+        return self.uploads.end(upload, row.id)
+
     def accept_file(
-        self, lab: str, session_id: str, incoming: Incoming, role: Role | None, camera: str | None
+        self,
+        lab: str,
+        session_id: str,
+        incoming: Incoming | Whole,
+        role: Role | None,
+        camera: str | None,
+        file_id: str | None = None,
     ) -> tuple[FileRow, bool]:
         """Accept a file that was received whole, and tell whether it is new: the same file twice is one file.
+
+        A new one gets the ``file_id``, or an id of its own.
 
         Raises:
             InputError: Its content can't be read (the probe's code), ``file-exists`` with other content, ``role-unknown``,
@@ -116,10 +163,11 @@ class Service:
             role = role or guess_role(incoming.name, kind)
             check_role(role, incoming.name, kind, camera)
             known = repository.file_named(session_id, incoming.name)
-        if known is not None:
-            return _same_file(known, incoming, role, camera), False
+            if known is not None:
+                return _same_file(known, incoming, role, camera), False
+            self._check_quota(repository, incoming.size)
         facts = self._probe(incoming.path, role)
-        file_id = str(uuid4())
+        file_id = file_id or str(uuid4())
         row = FileRow(
             id=file_id,
             session_id=session_id,
@@ -190,7 +238,7 @@ class Service:
             InputError: ``idempotency-key-reused`` if the key's job was another one; ``calibration-ambiguous``.
         """
         job_id = str(uuid4()) if idempotency_key is None else str(uuid5(NAMESPACE_URL, f"{lab}/{idempotency_key}"))
-        with self._database.write() as session:
+        with self._database.write(lab) as session:
             repository = Repository(session, lab)
             owner = repository.session(session_id)
             calibration_id = calibration_id or owner.calibration_id
@@ -216,13 +264,7 @@ class Service:
                 files=files,
             )
             repository.add(row)
-            # In the same transaction: there is no job without its queue entry, and no entry without its job.
-            self._queue.enqueue_in_transaction(
-                session,
-                {"queue_name": QUEUE, "workflow_name": WORKFLOW, "workflow_id": job_id},
-                lab,
-                job_id,
-            )
+            self._queue.add(session, lab, job_id, repository.count_active_jobs())
         return row, True
 
     def job(self, lab: str, job_id: str) -> JobView:
@@ -242,10 +284,8 @@ class Service:
         with self._repository(lab) as repository:
             repository.job(job_id)
             cancelled = repository.change_job(job_id, ACTIVE, state=JobState.CANCELLED, ended_at=now())
-        if (
-            cancelled
-        ):  # after the row: if this process dies in between, the worker's result is refused by the row's state
-            self._queue.cancel_workflow(job_id)
+        if cancelled:  # after the row: if this process dies in between, the worker sees that the job has ended
+            self._queue.cancel(job_id)
         return self.job(lab, job_id)
 
     def report(self, lab: str, report_id: str) -> ReportRow:
@@ -274,8 +314,16 @@ class Service:
         with self._store.local_path(key) as path:
             yield path
 
+    def _check_quota(self, repository: Repository, size: int) -> None:
+        if self._quota_bytes and repository.count_file_bytes() + size > self._quota_bytes:
+            raise ResourceError(
+                f"The lab may keep {self._quota_bytes} bytes of files, and with this one it would keep more.",
+                hint="Delete sessions that are no longer needed, or ask for more room (GONIO_LAB_QUOTA_BYTES).",
+                code="quota-exceeded",
+            )
+
     def _view(self, row: JobRow) -> JobView:
-        progress = self._queue.get_event(row.id, PROGRESS, timeout_seconds=0) if row.state == JobState.DOING else None
+        progress = self._queue.progress(row.id) if row.state == JobState.DOING else None
         return JobView(row, progress)
 
     @contextmanager
@@ -285,11 +333,11 @@ class Service:
 
     @contextmanager
     def _repository(self, lab: str) -> Generator[Repository]:
-        with self._database.write() as session:
+        with self._database.write(lab) as session:
             yield Repository(session, lab)
 
 
-def _same_file(known: FileRow, incoming: Incoming, role: Role, camera: str | None) -> FileRow:
+def _same_file(known: FileRow, incoming: Incoming | Whole, role: Role, camera: str | None) -> FileRow:
     if (known.sha256, known.role, known.camera) == (incoming.sha256, role, camera):
         return known
     raise InputError(

@@ -92,6 +92,7 @@ class JobRow(Row):
     ended_at: Mapped[datetime | None]
     takeovers: Mapped[int] = mapped_column(default=0)  # how often a worker died over it since it last got on
     steps_at_takeover: Mapped[int] = mapped_column(default=0)
+    generation: Mapped[int] = mapped_column(default=0, server_default="0")  # one more with each worker that lost it
 
 
 class CalibrationRow(Row):
