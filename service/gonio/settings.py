@@ -45,6 +45,12 @@ class Settings(BaseSettings):
     upload_hours: float = Field(
         default=24.0, gt=0, description="An upload that was cut is removed when nothing was added to it for so long."
     )
+    requests_per_minute: int = Field(
+        default=6000,
+        ge=0,
+        description="How many requests each key may send a minute to each API process; 0: any number.",
+    )
+    jobs_per_lab: int = Field(default=200, ge=1, description="How many jobs of a lab may wait or run at once.")
     lab_quota_bytes: int = Field(
         default=0, ge=0, description="How much each lab may upload, sessions that it deleted not counted; 0: no limit."
     )

@@ -18,6 +18,7 @@ from gonio.errors import GonioError
 from gonio.http import problems
 from gonio.http.dashboard import add_dashboard
 from gonio.http.middleware import Envelope
+from gonio.http.pace import Pace
 from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions, uploads
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
@@ -89,6 +90,7 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
         max_body_size=settings.max_json_bytes,
     )
     app.state.settings = settings
+    app.state.pace = Pace(settings.requests_per_minute)
     app.add_exception_handler(Exception, problems.of_unforeseen_error)
     app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
     app.add_exception_handler(GonioError, problems.of_gonio_error)

@@ -7,7 +7,7 @@ from datetime import datetime
 from typing import Annotated
 from uuid import UUID
 
-from fastapi import Depends, Path, Query
+from fastapi import Depends, Path, Query, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBasic, HTTPBasicCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.requests import Request
@@ -56,7 +56,7 @@ def _known_caller(
     cookie = request.cookies.get(KEY_COOKIE, "")
     key = bearer.credentials if bearer else basic.password if basic else cookie
     if not key and _needs_no_key(request, service, settings):
-        return Caller(settings.default_lab)
+        return _paced(request, Caller(settings.default_lab))
     if not key:
         raise InputError(
             "This service wants a key.",
@@ -67,6 +67,19 @@ def _known_caller(
     if caller is None:
         raise InputError(
             "The key is unknown, has expired or was revoked.", hint="Ask your lab for a valid one.", code="key-invalid"
+        )
+    return _paced(request, caller)
+
+
+def _paced(request: Request, caller: Caller) -> Caller:
+    """Refuse who asks too often."""
+    wait_s = request.app.state.pace.wait_s(caller.key_id or caller.lab)
+    if wait_s:
+        raise InputError(
+            "This key sends more requests than the service takes.",
+            hint=f"Wait {wait_s} s. To follow a job, read its events, or ask with `Prefer: wait=30`.",
+            code="too-many-requests",
+            retry_after_s=wait_s,
         )
     return caller
 
@@ -162,18 +175,25 @@ class PageOf:
 
     def __init__(
         self,
+        request: Request,
+        response: Response,
         limit: Annotated[int, Query(ge=1, le=200, description="How many items a page has.")] = 50,
         cursor: Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before.")] = None,
     ) -> None:
+        self._request = request
+        self._response = response
         self.limit = limit
         self.after = None if cursor is None else _place(cursor)
 
     def next_cursor(self, rows: Sequence[Row]) -> str | None:
-        """Give the cursor of the page after this one, if this one is full."""
+        """Give the cursor of the page after this one, if this one is full, and tell it in the header `Link` too."""
         if len(rows) < self.limit:
             return None
         text = f"{rows[-1].created_at.isoformat()} {rows[-1].id}"
-        return base64.urlsafe_b64encode(text.encode()).decode()
+        cursor = base64.urlsafe_b64encode(text.encode()).decode()
+        url = self._request.url.include_query_params(cursor=cursor)
+        self._response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+        return cursor
 
 
 Page = Annotated[PageOf, Depends()]

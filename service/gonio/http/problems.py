@@ -48,6 +48,7 @@ KINDS: Mapping[str, Kind] = {
     "unsupported-media-type": Kind(415, "Unsupported media type", "The body has another type than the page takes."),
     "method-not-allowed": Kind(405, "Method not allowed", "This address exists, but not for this method."),
     "range-not-satisfiable": Kind(416, "Range not satisfiable", "The file has no bytes in the range asked for."),
+    "too-many-requests": Kind(429, "Too many requests", "A key sent more than GONIO_REQUESTS_PER_MINUTE."),
     "bad-cursor": Kind(422, "Bad cursor", "`cursor` must be the `next_cursor` of the page before."),
     "not-found": Kind(404, "Not found", "There is nothing under this address, or it belongs to another lab."),
     "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
@@ -113,6 +114,7 @@ KINDS: Mapping[str, Kind] = {
     "calibration-ambiguous": Kind(422, "Calibration ambiguous", "There are several calibrations; which one is meant?"),
     "too-few-cameras": Kind(409, "Too few cameras", "A rig is calibrated from the videos of two cameras or more."),
     "too-few-videos": Kind(409, "Too few videos", "A point needs two cameras to be seen in space."),
+    "too-many-jobs": Kind(429, "Too many jobs", "The lab has as many jobs waiting as it may, GONIO_JOBS_PER_LAB."),
     "session-busy": Kind(409, "Session busy", "What an analysis reads can't be deleted while it runs."),
     "idempotency-key-reused": Kind(422, "Idempotency key reused", "A key stands for one analysis, for ever."),
     "internal-error": Kind(500, "Internal error", "A fault of gonio's own; its log explains the `reference`."),
@@ -123,7 +125,7 @@ KINDS: Mapping[str, Kind] = {
     "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),
 }
 
-GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page")
+GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page", "too-many-requests")
 """How every route may fail that belongs to a lab."""
 
 ANYWHERE = ("internal-error", "database-unreachable", "store-unreachable")
@@ -198,6 +200,8 @@ def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
     if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE:
         log.warning("%s at %s %r: %s", told["code"], request.method, request.url.path, error.__cause__)
         answer.headers["Retry-After"] = str(RETRY_AFTER_S)
+    if answer.status_code == HTTPStatus.TOO_MANY_REQUESTS:
+        answer.headers["Retry-After"] = str(told["details"]["retry_after_s"])
     if answer.status_code == HTTPStatus.UNAUTHORIZED:
         # A browser that wants a page asks its user for the password; a script's request must not make it ask.
         wants_page = "text/html" in request.headers.get("accept", "")

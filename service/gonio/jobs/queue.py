@@ -82,6 +82,6 @@ class Queue:
         """List the workflows of jobs."""
         return self._client.list_workflows(workflow_ids=list(job_ids), load_input=False, load_output=False)
 
-    def count_steps(self, job_id: str) -> int:
-        """Tell how many steps of a job are done."""
-        return len(self._client.list_workflow_steps(job_id, load_output=False))
+    def step_names(self, job_id: str) -> Sequence[str]:
+        """Name the steps of a job that are done, in order."""
+        return [step["function_name"] for step in self._client.list_workflow_steps(job_id, load_output=False)]

@@ -91,6 +91,13 @@ class Repository:
         """Give a job if there is one."""
         return self._db.scalar(self._select(JobRow).where(JobRow.id == job_id))
 
+    def find_same_job(self, session_id: str, fingerprint: str) -> JobRow | None:
+        """Give the newest job that computes or computed the same from the same, if there is one that didn't fail."""
+        wanted = (JobRow.session_id == session_id, JobRow.fingerprint == fingerprint)
+        useful = JobRow.state.in_([*ACTIVE, JobState.SUCCEEDED])
+        query = self._select(JobRow).where(*wanted, useful).order_by(JobRow.created_at.desc()).limit(1)
+        return self._db.scalar(query)
+
     def jobs(self, limit: int, after: Place | None = None, session_id: str | None = None) -> Sequence[JobRow]:
         """List jobs, newest first; of one session if it is named."""
         return self._page(JobRow, limit, after, *([JobRow.session_id == session_id] if session_id else []))

@@ -1,8 +1,11 @@
 """What the service can do, for http to call: sessions, files, analyses, jobs and reports of one lab."""
 
+import hashlib
+import json
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_URL, uuid4, uuid5
@@ -21,7 +24,7 @@ from gonio.jobs.repository import Place, Repository
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
-from gonio.jobs.workflow import session_prefix
+from gonio.jobs.workflow import VERSION, session_prefix
 from gonio.pipeline.run import Role
 from gonio.settings import Settings
 
@@ -46,6 +49,7 @@ class Service:
         )
         self.uploads = PartialUploads(settings.data_dir / "uploads", self.spool, settings.upload_hours * 3600)
         self._quota_bytes = settings.lab_quota_bytes
+        self._jobs_per_lab = settings.jobs_per_lab
         self.sweep()
         self._probe = probe
         self._database = Database(settings.resolved_database_url)
@@ -228,14 +232,18 @@ class Service:
         idempotency_key: str | None = None,
         calibration_id: str | None = None,
     ) -> tuple[JobRow, bool]:
-        """Queue an analysis of a session's present files, and tell whether it is new: a key gives one job for ever.
+        """Queue an analysis of a session's present files, and tell whether it is new.
+
+        A key gives one job for ever. Without one, the same analysis of the same files is not computed twice: a job that
+        waits, runs or succeeded is given again.
 
         ``calibration_id`` names the calibration to use, in place of the session's own; in a session of kind
         ``calibration`` it is the one to check.
 
         Raises:
             CaptureError: ``calibration-missing``, ``too-few-videos`` or ``too-few-cameras``.
-            InputError: ``idempotency-key-reused`` if the key's job was another one; ``calibration-ambiguous``.
+            InputError: ``too-many-jobs``; ``idempotency-key-reused`` if the key's job was another one;
+                ``calibration-ambiguous``.
         """
         job_id = str(uuid4()) if idempotency_key is None else str(uuid5(NAMESPACE_URL, f"{lab}/{idempotency_key}"))
         with self._database.write(lab) as session:
@@ -249,11 +257,19 @@ class Service:
             if known is not None:
                 return _same_job(known, session_id, wanted, calibration_id), False
             files = [
-                {"name": f.name, "role": f.role, "camera": f.camera, "key": f.key} for f in repository.files(session_id)
+                {"name": f.name, "role": f.role, "camera": f.camera, "key": f.key, "sha256": f.sha256}
+                for f in repository.files(session_id)
             ]
             if calibration_id is not None:
                 files.append(_as_file(repository.calibration(calibration_id), owner.kind))
             _refuse_when_incomplete(files, owner.kind)
+            fingerprint = _fingerprint(owner.kind, files, wanted)
+            if idempotency_key is None:
+                known = repository.find_same_job(session_id, fingerprint)
+                if known is not None:
+                    return known, False
+            active = repository.count_active_jobs()
+            _refuse_when_full(active, self._jobs_per_lab)
             row = JobRow(
                 id=job_id,
                 session_id=session_id,
@@ -262,9 +278,10 @@ class Service:
                 state=JobState.TODO,
                 parameters=wanted,
                 files=files,
+                fingerprint=fingerprint,
             )
             repository.add(row)
-            self._queue.add(session, lab, job_id, repository.count_active_jobs())
+            self._queue.add(session, lab, job_id, active + 1)
         return row, True
 
     def job(self, lab: str, job_id: str) -> JobView:
@@ -356,7 +373,25 @@ def _as_file(row: CalibrationRow, kind: str) -> dict[str, Any]:
         "role": "previous" if kind == "calibration" else "calibration",
         "camera": None,
         "key": document["key"],
+        "sha256": document["sha256"],
     }
+
+
+def _fingerprint(kind: str, files: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]) -> str:
+    """Give a hash of all that a report depends on: this version of gonio, the files' contents, the parameters."""
+    contents = sorted([file["name"], file["role"], file["camera"] or "", file["sha256"]] for file in files)
+    content = json.dumps([version("gonio"), VERSION, kind, contents, parameters], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def _refuse_when_full(active: int, most: int) -> None:
+    if active >= most:
+        raise InputError(
+            f"{active} jobs of the lab wait or run, as many as may.",
+            hint="Wait until some of them have ended, or cancel those that aren't needed.",
+            code="too-many-jobs",
+            retry_after_s=60,
+        )
 
 
 def _same_job(known: JobRow, session_id: str, parameters: dict[str, Any], calibration_id: str | None) -> JobRow:

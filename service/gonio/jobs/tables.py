@@ -85,13 +85,16 @@ class JobRow(Row):
     calibration_id: Mapped[str | None] = mapped_column(String(36))  # may not be deleted while the job runs
     state: Mapped[str] = mapped_column(String(16))
     parameters: Mapped[dict[str, Any]]
-    files: Mapped[list[dict[str, Any]]]  # the session's files when the analysis was asked for: name, role, camera, key
+    files: Mapped[
+        list[dict[str, Any]]
+    ]  # the session's files when the analysis was asked for: name, role, camera, key, sha256
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     stages: Mapped[list[dict[str, Any]]] = mapped_column(default=list)  # name and seconds of each finished stage
     started_at: Mapped[datetime | None]
     ended_at: Mapped[datetime | None]
     takeovers: Mapped[int] = mapped_column(default=0)  # how often a worker died over it since it last got on
     steps_at_takeover: Mapped[int] = mapped_column(default=0)
+    fingerprint: Mapped[str | None] = mapped_column(String(64))  # of all that its result depends on
     generation: Mapped[int] = mapped_column(default=0, server_default="0")  # one more with each worker that lost it
 
 

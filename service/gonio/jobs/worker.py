@@ -190,7 +190,7 @@ class Worker:
     def _resume(self, workflow: WorkflowStatus) -> None:
         """Put a job back into the queue, unless it killed too many workers in the same stage."""
         job_id = workflow.workflow_id
-        steps = self._queue.count_steps(job_id)
+        steps = len(self._queue.step_names(job_id))
         with self._workshop.database.read() as session:
             job = active_job_of_any_lab(session, job_id)
         if job is None:
