@@ -12,11 +12,12 @@ from gonio.client import Client
 from gonio.errors import GonioError
 from gonio.http.pace import Pace
 from gonio.jobs.access import SCOPES, opened
-from gonio.jobs.database import Database
+from gonio.jobs.database import Database, upgrade
 from gonio.jobs.queue import QUEUE
 from gonio.jobs.repository import Repository
 from gonio.jobs.supervisor import Supervisor
 from gonio.jobs.tables import JobState
+from gonio.jobs.worker import SWEEPS_AFTER_END, Worker, WorkerStuck
 from gonio.settings import Settings
 
 
@@ -165,27 +166,17 @@ def test_a_job_of_an_older_version_starts_anew(start_lab, start_worker, capture,
     assert lab.client.wait(job, timeout_s=20)["state"] == "succeeded"
 
 
-@pytest.mark.slow
-def test_a_stage_that_does_not_hear_of_its_cancellation_is_ended_with_its_worker(start_lab, capture, journal):
-    lab = start_lab(workers=1)
-    session = lab.complete_session(capture)
-    deaf = lab.client.analyse(session, journal.parameters(fault={"keypoints": "deaf"}))["id"]
-    journal.wait_for("begin keypoints")
-    lab.client.cancel(deaf)
-    after = lab.client.analyse(session, journal.parameters(seconds=0))["id"]
-    assert lab.client.wait(after, timeout_s=30)["state"] == "succeeded"
-    assert "its stage doesn't hear of it" in lab.log.read_text()
-    assert lab.client.job(deaf)["state"] == "cancelled"
-
-
-@pytest.mark.slow
-def test_a_job_of_which_nothing_is_heard_ends_with_the_problem(start_lab, capture, journal):
-    lab = start_lab(workers=1, stage_silence_s=0.5)
-    deaf = lab.client.analyse(lab.complete_session(capture), journal.parameters(fault={"keypoints": "deaf"}))["id"]
-    with pytest.raises(GonioError) as caught:
-        lab.client.wait(deaf, timeout_s=60)
-    assert caught.value.code == "worker-crashed"
-    assert "nothing was heard of job" in lab.log.read_text()
+@pytest.mark.parametrize(("silence_s", "reason"), [(0.01, "nothing was heard of job"), (60, "doesn't hear of it")])
+def test_a_worker_ends_whose_stage_is_silent_or_goes_on_after_its_job_has_ended(tmp_path, silence_s, reason):
+    settings = Settings(data_dir=tmp_path / "data", cache_dir=tmp_path / "cache", stage_silence_s=silence_s)
+    upgrade(settings)
+    worker = Worker(settings, {})
+    worker.watch_desk()
+    with worker.desk.working_on("a job that was cancelled"), pytest.raises(WorkerStuck, match=reason):
+        for _ in range(SWEEPS_AFTER_END + 1):
+            time.sleep(0.02)
+            worker.watch_desk()
+    worker.close()
 
 
 def test_a_frozen_worker_is_killed(tmp_path, caplog):

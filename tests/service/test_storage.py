@@ -1,7 +1,5 @@
 """The same service on a real PostgreSQL and a real S3 server: migrations, locks, the store, and the whole way."""
 
-import os
-import signal
 import threading
 import time
 
@@ -145,31 +143,3 @@ def test_a_store_out_of_reach_and_one_of_unknown_kind_are_clear_errors(monkeypat
     with pytest.raises(InputError) as caught_other:
         Store.open("ftp://host/x")
     assert caught_other.value.code == "store-unsupported"
-
-
-@pytest.mark.slow
-def test_two_workers_on_postgres_and_s3_survive_the_kill_of_one(
-    start_lab, start_worker, capture, journal, postgres, bucket, monkeypatch
-):
-    for name, value in bucket.environment.items():
-        monkeypatch.setenv(name, value)
-    lab = start_lab(workers=0, database_url=postgres.new_database(), objects_url=f"{bucket.url}/{time.time_ns()}")
-    session = lab.complete_session(capture, subject={"mass_kg": 70.0})
-    first = start_worker(lab.settings)
-    job = lab.client.analyse(session, journal.parameters(seconds=1.0))["id"]
-    journal.wait_for("begin dynamics")
-    second = start_worker(lab.settings)
-    time.sleep(0.2)
-    os.kill(first.pid, signal.SIGKILL)
-    lab.client.wait(job, timeout_s=30)
-    assert journal.worker_pid() == second.pid
-    lines = {line: journal.lines().count(line) for line in journal.lines()}
-    assert lines == {f"{edge} {stage}": 1 for edge in ("begin", "end") for stage in ("capture", "keypoints", "report")} | {
-        "begin dynamics": 2,
-        "end dynamics": 1,
-    }  # fmt: skip
-    assert lab.client.report(job)["exist"] == [True, True, True]
-    file = lab.client.files(session)[0]
-    assert lab.http.get(file["content"]).content == (capture / file["name"]).read_bytes()
-    lab.client.delete_session(session)
-    assert not Store.open(lab.settings.objects_url).is_there(f"labs/default/sessions/{session}")

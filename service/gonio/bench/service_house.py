@@ -66,12 +66,10 @@ class House:
         if "worker" in victim:
             with suppress(ProcessLookupError):
                 os.kill(worker_pid, signal.SIGKILL)
-        if "api" in victim and self._api is not None:
-            self._api.kill()
-            self._api.wait()
-        if victim == "supervisor" and self._supervisor is not None:
-            self._supervisor.kill()
-            self._supervisor.wait()
+        if "api" in victim:
+            _kill(self._api)
+        if victim == "supervisor":
+            _kill(self._supervisor)
         wait_for(lambda: not _lives(worker_pid), 5) if victim != "api" else None
 
     def restart(self, victim: str) -> None:
@@ -238,6 +236,12 @@ def wait_for(condition: Callable[[], Any], timeout_s: float) -> None:
         if time.monotonic() > deadline_s:
             raise GonioError("What should have happened didn't.", hint="See the service's log.", code="bench-failed")
         time.sleep(0.02)
+
+
+def _kill(process: subprocess.Popen[str] | None) -> None:
+    assert process is not None
+    process.kill()
+    process.communicate()
 
 
 def _lives(pid: int) -> bool:

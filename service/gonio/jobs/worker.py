@@ -98,6 +98,7 @@ class Worker:
         self.name = f"worker-{uuid4().hex[:12]}"
         self._url = settings.resolved_database_url
         self._silence_s = settings.stage_silence_s
+        self.desk = Desk()
         self._locks = open_locks(settings)
         self._queue = Queue(settings.resolved_database_url)
         self._folders = settings.cache_dir / "work"
@@ -106,7 +107,7 @@ class Worker:
             store=Store.open(settings.resolved_objects_url, patience_s=STORE_PATIENCE_S),
             folder=self._folders / self.name,
             rivers=rivers,
-            desk=Desk(),
+            desk=self.desk,
         )
         self._careful_until_s = 0.0
         self._sweeps_after_end = 0
@@ -148,7 +149,7 @@ class Worker:
                 self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
             if time.monotonic() > self._careful_until_s:
                 self.take_over()
-            self._watch_desk()
+            self.watch_desk()
         except (psycopg.OperationalError, OperationalError) as error:
             log.warning("Worker %s can't reach the database: %s", self.name, error)
             self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
@@ -173,8 +174,13 @@ class Worker:
         """Remove the work in progress: what is worth keeping is in the store."""
         shutil.rmtree(self._workshop.folder, ignore_errors=True)
 
-    def _watch_desk(self) -> None:
-        desk = self._workshop.desk
+    def watch_desk(self) -> None:
+        """See whether the job on the desk gets on and is still wanted.
+
+        Raises:
+            WorkerStuck: It doesn't, or isn't, and only the end of this process stops it.
+        """
+        desk = self.desk
         job_id, silent_s = desk.job_id, desk.silent_s
         if job_id is None:
             self._sweeps_after_end = 0
@@ -186,6 +192,11 @@ class Worker:
         self._sweeps_after_end = 0 if wanted else self._sweeps_after_end + 1
         if self._sweeps_after_end > SWEEPS_AFTER_END:
             raise WorkerStuck(f"job {job_id} has ended, and its stage doesn't hear of it")
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._queue.close()
+        self._workshop.database.close()
 
     def _resume(self, workflow: WorkflowStatus) -> None:
         """Put a job back into the queue, unless it killed too many workers in the same stage."""
