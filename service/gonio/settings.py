@@ -54,6 +54,11 @@ class Settings(BaseSettings):
     lab_quota_bytes: int = Field(
         default=0, ge=0, description="How much each lab may upload, sessions that it deleted not counted; 0: no limit."
     )
+    retention_days: float = Field(
+        default=0, ge=0, description="Sessions are deleted so long after they were last worked on; 0: never."
+    )
+    log_format: Literal["text", "json"] = Field(default="text", description="How the log is written.")
+    metrics_key: str = Field(default="", description="The key with which Prometheus reads /metrics.")
     keys: Literal["auto", "required"] = Field(
         default="auto",
         description="`auto`: no key is needed on this machine itself while the service listens there only, keeps its data "

@@ -1,7 +1,10 @@
 """The application: everything http is made of, put together once."""
 
+import asyncio
+import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from datetime import timedelta
 from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any
@@ -19,12 +22,16 @@ from gonio.http import problems
 from gonio.http.dashboard import add_dashboard
 from gonio.http.middleware import Envelope
 from gonio.http.pace import Pace
-from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, reports, sessions, uploads
+from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, metrics, reports, sessions, uploads
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
 from gonio.jobs.service import Service
 from gonio.settings import Settings
+
+log = logging.getLogger(__name__)
+
+HOUSEKEEPING_S = 600
 
 DESCRIPTION = """\
 A gait laboratory: upload the videos of a capture and their calibration, start an analysis, read its report.
@@ -64,6 +71,20 @@ class Application(FastAPI):
         return document
 
 
+async def _keep_house(service: Service, settings: Settings) -> None:
+    """Remove, now and then, the uploads that nobody goes on with and the sessions whose time is over."""
+    while True:
+        await asyncio.sleep(HOUSEKEEPING_S)
+        try:
+            await run_in_threadpool(service.sweep)
+            if settings.retention_days:
+                count = await run_in_threadpool(service.delete_what_is_over, timedelta(days=settings.retention_days))
+                if count:
+                    log.info("%d sessions were deleted after %g days", count, settings.retention_days)
+        except Exception:
+            log.exception("Housekeeping failed; it is tried again in %d s", HOUSEKEEPING_S)
+
+
 def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     """Make the application.
 
@@ -77,7 +98,9 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
         await run_in_threadpool(upgrade, settings)
         service = await run_in_threadpool(Service, settings, probe)
         app.state.service = service
+        keeper = asyncio.create_task(_keep_house(service, settings))
         yield
+        keeper.cancel()
         await run_in_threadpool(service.close)
 
     app = Application(
@@ -97,7 +120,7 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(OperationalError, problems.of_database_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
-    for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, meta):
+    for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, meta, metrics):
         app.include_router(module.router)
     app.include_router(uploads.discovery)
     add_dashboard(app)

@@ -55,7 +55,7 @@ def _known_caller(
         refuse_foreign_pages(request)
     cookie = request.cookies.get(KEY_COOKIE, "")
     key = bearer.credentials if bearer else basic.password if basic else cookie
-    if not key and _needs_no_key(request, service, settings):
+    if not key and is_at_home(request, service, settings):
         return _paced(request, Caller(settings.default_lab))
     if not key:
         raise InputError(
@@ -105,7 +105,7 @@ def refuse_foreign_pages(request: Request) -> None:
         )
 
 
-def _needs_no_key(request: Request, service: Service, settings: Settings) -> bool:
+def is_at_home(request: Request, service: Service, settings: Settings) -> bool:
     """Tell whether a request comes from this machine, on its own behalf, to a service that is for it alone.
 
     A proxy's requests come from this machine too, but on behalf of others; and a foreign page can make its own name

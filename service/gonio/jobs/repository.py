@@ -1,15 +1,17 @@
 """All queries on gonio's tables, each filtered by the lab that asks. Nothing else in gonio writes a query."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple, TypeVar
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from gonio.errors import InputError
 from gonio.jobs.tables import (
     ACTIVE,
+    TALLIES,
     CalibrationRow,
     FileRow,
     JobRow,
@@ -82,6 +84,10 @@ class Repository:
     def count_file_bytes(self) -> int:
         """Tell how much all files of the lab hold."""
         return self._db.scalar(sa.select(sa.func.sum(FileRow.size)).where(FileRow.lab == self._lab)) or 0
+
+    def count_frames(self, session_id: str) -> int:
+        """Tell how many frames all videos of a session have."""
+        return sum(int(file.facts.get("frames") or 0) for file in self.files(session_id))
 
     def job(self, job_id: str) -> JobRow:
         """Give a job, or raise ``not-found``."""
@@ -210,3 +216,40 @@ def key_of_any_lab(session: Session, digest: str) -> KeyRow | None:
 def any_key(session: Session) -> bool:
     """Tell whether a key was ever made; one that is over counts too, or its end would open the door."""
     return session.scalar(sa.select(sa.exists(KeyRow.id))) or False
+
+
+def add_to_tallies(session: Session, added: Mapping[str, float]) -> None:
+    """Count something in several tallies: one more each, and an amount."""
+    insert = postgresql.insert if session.get_bind().dialect.name == "postgresql" else sqlite.insert
+    for name, amount in sorted(
+        added.items()
+    ):  # sorted: two transactions that lock the same rows never wait in a circle
+        query = insert(TALLIES).values(name=name, count=1, total=amount)
+        more = {"count": TALLIES.c["count"] + 1, "total": TALLIES.c.total + amount}
+        session.execute(query.on_conflict_do_update(index_elements=[TALLIES.c.name], set_=more))
+
+
+def tallies(session: Session) -> Mapping[str, tuple[int, float]]:
+    """Give all tallies by name: how often, and how much."""
+    rows = session.execute(sa.select(TALLIES.c.name, TALLIES.c["count"], TALLIES.c.total)).tuples()
+    return {name: (count, total) for name, count, total in rows}
+
+
+def count_jobs_of_all_labs(session: Session) -> Mapping[str, int]:
+    """Count the jobs in each state."""
+    return dict(session.execute(sa.select(JobRow.state, sa.func.count()).group_by(JobRow.state)).tuples())
+
+
+def oldest_queued_job_of_all_labs(session: Session) -> datetime | None:
+    """Tell when the oldest job was created that waits."""
+    return session.scalar(sa.select(sa.func.min(JobRow.created_at)).where(JobRow.state == JobState.TODO))
+
+
+def sessions_of_all_labs_untouched_since(session: Session, time: datetime) -> Sequence[SessionRow]:
+    """List the sessions that were made, and whose files and jobs all came, before a time; for retention."""
+    younger = [
+        sa.exists().where(kind.session_id == SessionRow.id, kind.created_at >= time) for kind in (FileRow, JobRow)
+    ]
+    return session.scalars(
+        sa.select(SessionRow).where(SessionRow.created_at < time, *(~each for each in younger))
+    ).all()

@@ -3,8 +3,9 @@
 import hashlib
 import json
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,14 @@ from gonio.jobs.filenames import check_role, guess_role
 from gonio.jobs.partial import PartialUploads, Upload, Whole
 from gonio.jobs.probe import Probe
 from gonio.jobs.queue import Queue
-from gonio.jobs.repository import Place, Repository
+from gonio.jobs.repository import (
+    Place,
+    Repository,
+    count_jobs_of_all_labs,
+    oldest_queued_job_of_all_labs,
+    sessions_of_all_labs_untouched_since,
+    tallies,
+)
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
@@ -35,6 +43,17 @@ class JobView:
 
     row: JobRow
     progress: Mapping[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What happens in the service: ``stages`` holds, by name, how many were finished and their seconds in all."""
+
+    jobs: Mapping[str, int]
+    oldest_s: float
+    stages: Mapping[str, tuple[int, float]]
+    takeovers: int
+    frames: int
 
 
 class Service:
@@ -72,6 +91,31 @@ class Service:
         """Remove uploads whose sender or server is gone for good."""
         self.spool.sweep()
         self.uploads.sweep()
+
+    def delete_what_is_over(self, retention: timedelta) -> int:
+        """Delete the sessions on which nobody worked for so long, and tell how many; those that are busy wait."""
+        with self._database.read() as session:
+            over = [(row.lab, row.id) for row in sessions_of_all_labs_untouched_since(session, now() - retention)]
+        count = 0
+        for lab, session_id in over:
+            with suppress(CaptureError, InputError):
+                self.delete_session(lab, session_id)
+                count += 1
+        return count
+
+    def statistics(self) -> Statistics:
+        """Count what happens, over all labs."""
+        with self._database.read() as session:
+            jobs, oldest, sums = (
+                count_jobs_of_all_labs(session), oldest_queued_job_of_all_labs(session), tallies(session)
+            )  # fmt: skip
+        return Statistics(
+            jobs={state.value: jobs.get(state, 0) for state in JobState},
+            oldest_s=(now() - oldest).total_seconds() if oldest else 0.0,
+            stages={name.removeprefix("stage "): each for name, each in sums.items() if name.startswith("stage ")},
+            takeovers=sums.get("takeovers", (0, 0.0))[0],
+            frames=round(sums.get("frames", (0, 0.0))[1]),
+        )
 
     def create_session(
         self, lab: str, *, kind: str, name: str, subject: dict[str, Any], calibration_id: str | None = None

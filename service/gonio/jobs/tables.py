@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, Index, MetaData, String, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Column, Float, ForeignKey, Index, MetaData, String, Table, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 METADATA = MetaData(
@@ -133,6 +133,16 @@ class ReadingRow(Row):
     key_id: Mapped[str | None] = mapped_column(String(36))  # None: without a key, on the service's own machine
     session_id: Mapped[str | None] = mapped_column(String(36))  # None: the list of sessions
     what: Mapped[str]
+
+
+TALLIES = Table(
+    "tallies",
+    METADATA,
+    Column("name", String(100), primary_key=True),
+    Column("count", BigInteger, nullable=False),
+    Column("total", Float, nullable=False),
+)
+"""Numbers that only grow, over all labs: they outlive what they counted, and tell nothing of anybody."""
 
 
 class ReportRow(Row):

@@ -21,8 +21,9 @@ from gonio.jobs.database import Database, upgrade
 from gonio.jobs.desk import Desk, start_heartbeat
 from gonio.jobs.failure import Problem
 from gonio.jobs.liveness import open_locks
+from gonio.jobs.logs import set_up_logging
 from gonio.jobs.queue import APPLICATION, QUEUE, Queue
-from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs
+from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs, add_to_tallies
 from gonio.jobs.store import Store
 from gonio.jobs.workflow import VERSION, Workshop, end_badly, register
 from gonio.pipeline.run import River
@@ -212,6 +213,7 @@ class Worker:
             takeovers = 1 if steps > job.steps_at_takeover else job.takeovers + 1
             repository = Repository(session, job.lab)
             repository.lose_job(job_id, takeovers, steps)
+            add_to_tallies(session, {"takeovers": 1})
             if takeovers >= MAX_TAKEOVERS:
                 end_badly(repository, job_id, _crash_problem(takeovers))
         if takeovers >= MAX_TAKEOVERS:
@@ -264,12 +266,13 @@ def _crash_problem(count: int) -> Problem:
 
 def main() -> None:
     """Run a worker with the settings of the environment and the rivers of this version."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    settings = Settings()
+    set_up_logging(settings)
     # In here, since importing the rivers takes seconds that nobody else needs to wait for.
     from gonio.pipeline.rivers import RIVERS
 
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    run_worker(Settings(), RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
+    run_worker(settings, RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
 
 
 if __name__ == "__main__":

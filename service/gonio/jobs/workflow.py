@@ -17,8 +17,9 @@ from gonio.formats.calibration_json import read_calibration_document
 from gonio.jobs.database import Database, patiently
 from gonio.jobs.desk import Desk
 from gonio.jobs.failure import Problem, describe
+from gonio.jobs.logs import about
 from gonio.jobs.queue import WORKFLOW
-from gonio.jobs.repository import Repository
+from gonio.jobs.repository import Repository, add_to_tallies
 from gonio.jobs.runner import DurableRunner
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, JobRow, JobState, ReportRow, now
@@ -69,7 +70,7 @@ class Analysis:
 
     def run(self) -> None:
         """Run the job to its end, whatever that is; only cancellation and loss of ownership leave it early."""
-        with self._workshop.desk.working_on(self._job_id):
+        with self._workshop.desk.working_on(self._job_id), about(job=self._job_id):
             # No step: a worker that comes after a dead one must read it anew.
             self._generation = patiently(self._read_generation)
             self._run()
@@ -90,6 +91,7 @@ class Analysis:
             river = self._workshop.rivers[plan["kind"]]
             runner = DurableRunner(self._workshop.store, prefix, folder, river.shares, self._workshop.desk.move)
             result = river.compute(files, plan["parameters"], runner, folder / "output")
+            log.info("All stages are done in %.1f s", sum(runner.seconds.values()))
             stages = [{"name": stage, "seconds": seconds} for stage, seconds in runner.seconds.items()]
             publish = partial(self._publish, plan, prefix, result, stages)
             DBOS.run_step({"name": "publish"}, patiently, publish)
@@ -152,10 +154,12 @@ class Analysis:
                 name = repository.session(plan["session_id"]).name
                 row = ReportRow(**common) if values is None else CalibrationRow(name=name, **common, **values)
                 repository.add(row)
+                add_to_tallies(session, {f"stage {stage['name']}": stage["seconds"] for stage in stages})
+                add_to_tallies(session, {"frames": repository.count_frames(plan["session_id"])})
         return ended
 
     def _fail(self, problem: Problem) -> bool:
-        log.warning("Job %s failed: %s", self._job_id, problem["code"])
+        log.warning("The job failed: %s", problem["code"])
         with self._workshop.database.write(self._lab) as session:
             return end_badly(Repository(session, self._lab), self._job_id, problem, self._generation)
 
