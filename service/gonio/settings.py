@@ -58,6 +58,9 @@ class Settings(BaseSettings):
         default=0, ge=0, description="Sessions are deleted so long after they were last worked on; 0: never."
     )
     log_format: Literal["text", "json"] = Field(default="text", description="How the log is written.")
+    private_webhooks: bool = Field(
+        default=False, description="Whether webhooks may lead into the service's own network, and over plain HTTP."
+    )
     metrics_key: str = Field(default="", description="The key with which Prometheus reads /metrics.")
     keys: Literal["auto", "required"] = Field(
         default="auto",

@@ -57,7 +57,7 @@ class Lab:
         self.settings = settings
         self.process = process
         self.log = log
-        key = "" if settings.is_embedded else self.make_key()
+        key = "" if settings.is_embedded and settings.keys == "auto" else self.make_key()
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self.client = Client(url, key=key)
         self.http = httpx.Client(base_url=url, trust_env=False, timeout=30, headers=headers)
@@ -92,7 +92,7 @@ def running_lab(settings: Settings, folder: Path) -> Iterator[Lab]:
 
 
 def make_settings(folder: Path, **values: Any) -> Settings:
-    defaults = {"port": 0, "free_disk_floor": 0, "max_upload_bytes": 3_000_000}
+    defaults = {"port": 0, "free_disk_floor": 0, "max_upload_bytes": 3_000_000, "private_webhooks": True}
     return Settings(**{"data_dir": folder / "data", "cache_dir": folder / "cache", **defaults, **values})
 
 

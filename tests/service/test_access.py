@@ -26,7 +26,7 @@ UPLOAD = {  # what an upload's routes want beside the key
     "Content-Type": "application/offset+octet-stream",
 }
 PUBLIC = {"/healthz", "/readyz"}
-SIGNING = {"/sign-in", "/sign-out"}
+SIGNING = {"/sign-in", "/sign-out", "/metrics"}  # which have tests of their own
 
 
 def make_key(settings, lab: str, *scopes, lifetime=None) -> str:
@@ -63,6 +63,9 @@ def labs(keyed_lab, capture, tmp_path_factory):
             "report_id": job,
             "calibration_id": job,
             "name": client.report_files(job)[0]["name"],
+            "webhook_id": httpx.post(
+                f"{lab.url}/v1/webhooks", json={"url": "http://127.0.0.1:9"}, headers=bearer(north)
+            ).json()["id"],
             "upload_id": httpx.post(f"{lab.url}/v1/sessions/{session}/uploads", headers={**bearer(north), **UPLOAD})
             .headers["location"]
             .rpartition("/")[2],
@@ -80,7 +83,8 @@ def test_no_route_shows_or_changes_anything_of_another_lab(labs, method, path):
     lab, north, south, ids = labs
     key_id = httpx.get(f"{lab.url}/v1/keys", headers=bearer(north)).json()["items"][0]["id"]
     url = lab.url + path.format(**ids, key_id=key_id)
-    body = {"kind": "human_multicamera"} if path == "/v1/sessions" else {"name": "a", "scopes": ["read"]}
+    bodies = {"/v1/sessions": {"kind": "human_multicamera"}, "/v1/webhooks": {"url": "http://127.0.0.1:9"}}
+    body = bodies.get(path, {"name": "a", "scopes": ["read"]})
     how = {"json": body} if method == "POST" and not path.endswith("/files") and "analyses" not in path else {}
     headers = UPLOAD if "/uploads" in path else {}
     if path in PUBLIC or method == "OPTIONS":

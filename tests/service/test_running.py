@@ -20,7 +20,9 @@ def numbers(text: str) -> dict[str, float]:
 
 
 def test_the_numbers_count_jobs_stages_frames_and_requests(lab, capture, journal):
-    before = numbers(lab.http.get("/metrics").text)
+    first = lab.http.get("/metrics")
+    assert first.status_code == 200, lab.log.read_text()[-3000:]
+    before = numbers(first.text)
     job = lab.client.analyse(lab.complete_session(capture), journal.parameters(seconds=0.1))["id"]
     lab.client.wait(job, timeout_s=30)
     answer = lab.http.get("/metrics")

@@ -89,52 +89,70 @@ class Load:
         return self.uploaded_bytes / self.upload_s / self.copy_bytes_per_s
 
 
+class _Crowd:
+    """Clients that do one thing again and again until the time is over."""
+
+    def __init__(self, house: House, session: str, job: str, path: Path, end_s: float, result: Load) -> None:
+        self._house = house
+        self._session = session
+        self._job = job
+        self._path = path
+        self._end_s = end_s
+        self._result = result
+        self._lock = threading.Lock()
+
+    def poll(self) -> None:
+        """Ask for the job once a second."""
+        with self._house.client() as client:
+            while time.monotonic() < self._end_s:
+                begin_s = time.monotonic()
+                self._counting_errors(lambda: client.job(self._job))
+                took_s = time.monotonic() - begin_s
+                with self._lock:
+                    self._result.poll_s.append(took_s)
+                time.sleep(max(1.0 - took_s, 0.0))
+
+    def upload(self) -> None:
+        """Send the file under ever new names."""
+        with self._house.client() as client:
+            while time.monotonic() < self._end_s:
+                name = f"load-{time.monotonic_ns()}-{threading.get_ident()}.mp4"
+                self._counting_errors(lambda name=name: self._send(client, name))
+
+    def _send(self, client: Client, name: str) -> None:
+        file = client.upload(self._session, self._path, name=name)
+        with self._lock:
+            self._result.uploaded_bytes += file["size"]
+
+    def _counting_errors(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except GonioError:
+            with self._lock:
+                self._result.errors += 1
+
+
 def load(house: House, capture: list[Path], folder: Path, seconds: float, pollers: int, dice: random.Random) -> Load:
     """Have clients poll a job each second, four uploads run and two jobs compute, for a while."""
     result = Load()
-    path = folder / "load.mp4"
+    path, journal = folder / "load.mp4", folder / "journal-load"
     path.write_bytes(grown(capture[-1], 50_000_000, dice))
+    journal.touch()
     result.copy_bytes_per_s = path.stat().st_size / _copy_s(path)
     with house.client() as client:
-        session, journal = _session_of(client, capture), folder / "journal-load"
-        jobs = [
-            client.analyse(session, {"journal": str(journal), "seconds": 3 * seconds + number})["id"]
-            for number in range(2)
-        ]
-        end_s = time.monotonic() + seconds
-        lock = threading.Lock()
-
-        def counted(work: Callable[[Client], None]) -> None:
-            with house.client() as own:
-                while time.monotonic() < end_s:
-                    try:
-                        work(own)
-                    except GonioError:
-                        with lock:
-                            result.errors += 1
-
-        def poll(own: Client) -> None:
-            begin_s = time.monotonic()
-            own.job(jobs[0])
-            took_s = time.monotonic() - begin_s
-            with lock:
-                result.poll_s.append(took_s)
-            time.sleep(max(1.0 - took_s, 0.0))
-
-        def upload(own: Client) -> None:
-            file = own.upload(session, path, name=f"load-{time.monotonic_ns()}-{threading.get_ident()}.mp4")
-            with lock:
-                result.uploaded_bytes += file["size"]
-
+        session = _session_of(client, capture)
+        wanted = [{"journal": str(journal), "seconds": 3 * seconds + number} for number in range(2)]
+        jobs = [client.analyse(session, parameters)["id"] for parameters in wanted]
         begin_s = time.monotonic()
-        senders = [threading.Thread(target=counted, args=(upload,)) for _ in range(4)]
-        threads = senders + [threading.Thread(target=counted, args=(poll,)) for _ in range(pollers)]
-        for thread in threads:
+        crowd = _Crowd(house, session, jobs[0], path, begin_s + seconds, result)
+        senders = [threading.Thread(target=crowd.upload) for _ in range(4)]
+        askers = [threading.Thread(target=crowd.poll) for _ in range(pollers)]
+        for thread in senders + askers:
             thread.start()
         for thread in senders:
             thread.join()
         result.upload_s = time.monotonic() - begin_s
-        for thread in threads:
+        for thread in askers:
             thread.join()
         for job in jobs:
             client.cancel(job)

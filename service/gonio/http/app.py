@@ -22,7 +22,19 @@ from gonio.http import problems
 from gonio.http.dashboard import add_dashboard
 from gonio.http.middleware import Envelope
 from gonio.http.pace import Pace
-from gonio.http.routes import analyses, calibrations, files, jobs, keys, meta, metrics, reports, sessions, uploads
+from gonio.http.routes import (
+    analyses,
+    calibrations,
+    files,
+    jobs,
+    keys,
+    meta,
+    metrics,
+    reports,
+    sessions,
+    uploads,
+    webhooks,
+)
 from gonio.http.schemas import Problem
 from gonio.jobs.database import upgrade
 from gonio.jobs.probe import Probe, probe_file
@@ -32,6 +44,7 @@ from gonio.settings import Settings
 log = logging.getLogger(__name__)
 
 HOUSEKEEPING_S = 600
+MESSAGES_S = 2.0
 
 DESCRIPTION = """\
 A gait laboratory: upload the videos of a capture and their calibration, start an analysis, read its report.
@@ -85,6 +98,20 @@ async def _keep_house(service: Service, settings: Settings) -> None:
             log.exception("Housekeeping failed; it is tried again in %d s", HOUSEKEEPING_S)
 
 
+async def _send_messages(service: Service) -> None:
+    """Send the messages to webhooks as they become due."""
+    while True:
+        sent = 0
+        try:
+            sent = await run_in_threadpool(service.webhooks.send_due)
+        except OperationalError as error:
+            log.warning("Messages wait for the database: %s", error.orig)
+        except Exception:
+            log.exception("Sending messages failed; it is tried again")
+        if not sent:
+            await asyncio.sleep(MESSAGES_S)
+
+
 def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     """Make the application.
 
@@ -98,9 +125,10 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
         await run_in_threadpool(upgrade, settings)
         service = await run_in_threadpool(Service, settings, probe)
         app.state.service = service
-        keeper = asyncio.create_task(_keep_house(service, settings))
+        tasks = [asyncio.create_task(_keep_house(service, settings)), asyncio.create_task(_send_messages(service))]
         yield
-        keeper.cancel()
+        for task in tasks:
+            task.cancel()
         await run_in_threadpool(service.close)
 
     app = Application(
@@ -120,7 +148,7 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(OperationalError, problems.of_database_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
-    for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, meta, metrics):
+    for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, webhooks, meta, metrics):
         app.include_router(module.router)
     app.include_router(uploads.discovery)
     add_dashboard(app)

@@ -60,6 +60,7 @@ KINDS: Mapping[str, Kind] = {
         403, "Scope missing", "The key is valid, but not for this: it lacks `read`, `write` or `admin`."
     ),
     "foreign-page": Kind(403, "Foreign page", "A browser sent the request for a page of another site."),
+    "webhook-address-wrong": Kind(422, "Webhook's address wrong", "It isn't https, unknown, or in a private network."),
     # files
     "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
     "role-wrong": Kind(422, "Role wrong", "A session of this kind has no files of that role."),

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple, TypeVar
+from uuid import uuid4
 
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
@@ -11,8 +12,10 @@ from sqlalchemy.orm import Session
 from gonio.errors import InputError
 from gonio.jobs.tables import (
     ACTIVE,
+    FINAL,
     TALLIES,
     CalibrationRow,
+    DeliveryRow,
     FileRow,
     JobRow,
     JobState,
@@ -21,6 +24,7 @@ from gonio.jobs.tables import (
     ReportRow,
     Row,
     SessionRow,
+    WebhookRow,
     now,
 )
 
@@ -33,6 +37,7 @@ _NOUNS: dict[type[Row], str] = {
     ReportRow: "report",
     CalibrationRow: "calibration",
     KeyRow: "key",
+    WebhookRow: "webhook",
 }
 
 
@@ -146,6 +151,18 @@ class Repository:
         """List who read what, newest first; of one session if it is named."""
         return self._page(ReadingRow, limit, after, *([ReadingRow.session_id == session_id] if session_id else []))
 
+    def webhook(self, webhook_id: str) -> WebhookRow:
+        """Give a webhook, or raise ``not-found``."""
+        return self._one(WebhookRow, WebhookRow.id == webhook_id)
+
+    def webhooks(self) -> Sequence[WebhookRow]:
+        """List webhooks, newest first."""
+        return self._db.scalars(self._select(WebhookRow).order_by(WebhookRow.created_at.desc(), WebhookRow.id)).all()
+
+    def deliveries(self, webhook_id: str, limit: int) -> Sequence[DeliveryRow]:
+        """List the newest messages to a webhook."""
+        return self._page(DeliveryRow, limit, None, DeliveryRow.webhook_id == webhook_id)
+
     def delete(self, row: Row) -> None:
         """Delete a row and, with a session, all that belongs to it."""
         self._db.delete(row)
@@ -166,7 +183,15 @@ class Repository:
         query = sa.update(JobRow).where(JobRow.lab == self._lab, JobRow.id == job_id, JobRow.state.in_(expected))
         if of_generation is not None:
             query = query.where(JobRow.generation == of_generation)
-        return self._db.scalars(query.values(**values).returning(JobRow.id)).first() is not None
+        session_id = self._db.scalars(query.values(**values).returning(JobRow.session_id)).first()
+        if session_id is not None and values.get("state") in FINAL:
+            self._announce({"job": job_id, "session": session_id, "state": values["state"]})
+        return session_id is not None
+
+    def _announce(self, job: dict[str, Any]) -> None:
+        """Have the lab's webhooks told that a job has ended, in the transaction that ends it."""
+        for webhook in self.webhooks():
+            self.add(DeliveryRow(id=str(uuid4()), webhook_id=webhook.id, content={"event": "job-ended", **job}))
 
     def lose_job(self, job_id: str, takeovers: int, steps: int) -> None:
         """Note that a worker died over a job: from now on, what may still come from it is refused."""
@@ -237,7 +262,7 @@ def tallies(session: Session) -> Mapping[str, tuple[int, float]]:
 
 def count_jobs_of_all_labs(session: Session) -> Mapping[str, int]:
     """Count the jobs in each state."""
-    return dict(session.execute(sa.select(JobRow.state, sa.func.count()).group_by(JobRow.state)).tuples())
+    return dict(session.execute(sa.select(JobRow.state, sa.func.count()).group_by(JobRow.state)).tuples().all())
 
 
 def oldest_queued_job_of_all_labs(session: Session) -> datetime | None:
@@ -253,3 +278,14 @@ def sessions_of_all_labs_untouched_since(session: Session, time: datetime) -> Se
     return session.scalars(
         sa.select(SessionRow).where(SessionRow.created_at < time, *(~each for each in younger))
     ).all()
+
+
+def claim_deliveries_of_all_labs(
+    session: Session, time: datetime, until: datetime, limit: int
+) -> Sequence[tuple[DeliveryRow, WebhookRow]]:
+    """Take the messages that are due; nobody else gets them before ``until``."""
+    due = sa.select(DeliveryRow.id).where(DeliveryRow.due_at <= time).order_by(DeliveryRow.due_at).limit(limit)
+    mine = sa.update(DeliveryRow).where(DeliveryRow.id.in_(due), DeliveryRow.due_at <= time).values(due_at=until)
+    ids = session.scalars(mine.returning(DeliveryRow.id)).all()
+    query = sa.select(DeliveryRow, WebhookRow).join(WebhookRow, WebhookRow.id == DeliveryRow.webhook_id)
+    return list(session.execute(query.where(DeliveryRow.id.in_(ids))).tuples())

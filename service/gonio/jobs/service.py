@@ -32,6 +32,7 @@ from gonio.jobs.repository import (
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
+from gonio.jobs.webhooks import Webhooks
 from gonio.jobs.workflow import VERSION, session_prefix
 from gonio.pipeline.run import Role
 from gonio.settings import Settings
@@ -73,6 +74,7 @@ class Service:
         self._probe = probe
         self._database = Database(settings.resolved_database_url)
         self.access = Access(self._database)
+        self.webhooks = Webhooks(self._database, allow_private=settings.private_webhooks)
         self._store = Store.open(settings.resolved_objects_url)
         self._queue = Queue(settings.resolved_database_url)
 

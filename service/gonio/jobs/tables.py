@@ -28,6 +28,7 @@ class JobState(StrEnum):
 
 
 ACTIVE = (JobState.TODO, JobState.DOING)
+FINAL = (JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED)
 
 
 def now() -> datetime:
@@ -133,6 +134,30 @@ class ReadingRow(Row):
     key_id: Mapped[str | None] = mapped_column(String(36))  # None: without a key, on the service's own machine
     session_id: Mapped[str | None] = mapped_column(String(36))  # None: the list of sessions
     what: Mapped[str]
+
+
+class WebhookRow(Row):
+    """An address of a lab's that hears when its jobs end."""
+
+    __tablename__ = "webhooks"
+    __table_args__ = (Index(None, "lab", "created_at"),)
+
+    url: Mapped[str]
+    secret: Mapped[str]  # signs; so it can't be kept as a digest
+
+
+class DeliveryRow(Row):
+    """A message to a webhook: on its way while ``due_at`` is set."""
+
+    __tablename__ = "deliveries"
+    __table_args__ = (Index(None, "due_at"), Index(None, "webhook_id", "created_at"))
+
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
+    content: Mapped[dict[str, Any]]
+    attempts: Mapped[int] = mapped_column(default=0)
+    due_at: Mapped[datetime | None] = mapped_column(default=now)
+    delivered_at: Mapped[datetime | None]
+    answer: Mapped[str] = mapped_column(default="")  # the status of the last answer, or why there was none
 
 
 TALLIES = Table(

@@ -31,10 +31,9 @@ class _Jobs(Collector):
     """What the database knows, asked when it is scraped: the same from every API process."""
 
     def __init__(self, service: Service) -> None:
-        registry = CollectorRegistry()
-        registry.register(self)
-        self.registry = registry
         self._service = service
+        self.registry = CollectorRegistry()
+        self.registry.register(self)
 
     def collect(self) -> list[CounterMetricFamily | GaugeMetricFamily | SummaryMetricFamily]:
         counted = self._service.statistics()
