@@ -8,10 +8,12 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from gonio.errors import ResourceError
 from gonio.jobs.database import Database
 from gonio.jobs.logs import JsonLines, Lines, about
 from gonio.jobs.service import Service
-from gonio.jobs.tables import SessionRow, now
+from gonio.jobs.store import Store
+from gonio.jobs.tables import ErasureRow, SessionRow, now
 
 
 def numbers(text: str) -> dict[str, float]:
@@ -96,3 +98,27 @@ def test_sessions_are_deleted_when_their_time_is_over_but_not_those_that_were_wo
     left = {session["id"] for session in lab.client.sessions()}
     assert old not in left
     assert worked_on in left
+
+
+def test_a_deletion_goes_on_until_nothing_is_left(lab, capture, monkeypatch):
+    session = lab.complete_session(capture)
+    prefix = f"labs/default/sessions/{session}"
+    service = Service(lab.settings, lambda path, role: {})
+    store = Store.open(lab.settings.resolved_objects_url)
+    with monkeypatch.context() as patched:  # a store out of reach, or a process that is killed in the middle
+        patched.setattr(Store, "delete", lambda *_: (_ for _ in ()).throw(ResourceError("down", hint="wait")))
+        service.delete_session("default", session)
+    assert lab.http.get(f"/v1/sessions/{session}").status_code == 404
+    assert store.is_there(prefix)
+    service.erase_again()
+    assert not store.is_there(prefix)
+    store.put_bytes(f"{prefix}/jobs/x", "late.npz", b"of a worker that had not heard")
+    told = next(item for item in lab.http.get("/v1/erasures").json()["items"] if item["session"] == session)
+    assert told["done_at"] is None  # a minute has to pass
+    with service._database.write() as db:
+        db.execute(sa.update(ErasureRow).values(created_at=now() - timedelta(hours=1)))
+    service.erase_again()
+    assert not store.is_there(prefix)
+    told = next(item for item in lab.http.get("/v1/erasures").json()["items"] if item["session"] == session)
+    assert told["done_at"] is not None
+    service.close()

@@ -43,7 +43,7 @@ from gonio.settings import Settings
 
 log = logging.getLogger(__name__)
 
-HOUSEKEEPING_S = 600
+HOUSEKEEPING_S = 60
 MESSAGES_S = 2.0
 
 DESCRIPTION = """\
@@ -90,6 +90,7 @@ async def _keep_house(service: Service, settings: Settings) -> None:
         await asyncio.sleep(HOUSEKEEPING_S)
         try:
             await run_in_threadpool(service.sweep)
+            await run_in_threadpool(service.erase_again)
             if settings.retention_days:
                 count = await run_in_threadpool(service.delete_what_is_over, timedelta(days=settings.retention_days))
                 if count:

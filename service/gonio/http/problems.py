@@ -88,6 +88,7 @@ KINDS: Mapping[str, Kind] = {
     "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
+    "file-too-nested": Kind(422, "File too nested", "The file nests its values deeper than any program would."),
     "file-too-large": Kind(413, "File too large", "The file is larger than GONIO_MAX_UPLOAD_BYTES."),
     "upload-truncated": Kind(400, "Upload truncated", "The form ended before its last part did. Nothing was kept."),
     "quota-exceeded": Kind(507, "Quota exceeded", "The lab keeps as much as it may, GONIO_LAB_QUOTA_BYTES."),

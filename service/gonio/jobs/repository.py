@@ -16,6 +16,7 @@ from gonio.jobs.tables import (
     TALLIES,
     CalibrationRow,
     DeliveryRow,
+    ErasureRow,
     FileRow,
     JobRow,
     JobState,
@@ -150,6 +151,10 @@ class Repository:
     def readings(self, session_id: str | None, limit: int, after: Place | None = None) -> Sequence[ReadingRow]:
         """List who read what, newest first; of one session if it is named."""
         return self._page(ReadingRow, limit, after, *([ReadingRow.session_id == session_id] if session_id else []))
+
+    def erasures(self, limit: int, after: Place | None = None) -> Sequence[ErasureRow]:
+        """List deletions of sessions, newest first."""
+        return self._page(ErasureRow, limit, after)
 
     def webhook(self, webhook_id: str) -> WebhookRow:
         """Give a webhook, or raise ``not-found``."""
@@ -289,3 +294,10 @@ def claim_deliveries_of_all_labs(
     ids = session.scalars(mine.returning(DeliveryRow.id)).all()
     query = sa.select(DeliveryRow, WebhookRow).join(WebhookRow, WebhookRow.id == DeliveryRow.webhook_id)
     return list(session.execute(query.where(DeliveryRow.id.in_(ids))).tuples())
+
+
+def erasures_of_all_labs_to_do(session: Session) -> Sequence[ErasureRow]:
+    """List the deletions that aren't known to be complete, oldest first."""
+    return session.scalars(
+        sa.select(ErasureRow).where(ErasureRow.done_at.is_(None)).order_by(ErasureRow.created_at)
+    ).all()

@@ -1,12 +1,9 @@
 """What the service can do, for http to call: sessions, files, analyses, jobs and reports of one lab."""
 
-import hashlib
-import json
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_URL, uuid4, uuid5
@@ -17,6 +14,7 @@ from sqlalchemy.exc import IntegrityError
 from gonio.errors import CaptureError, InputError, ResourceError
 from gonio.jobs.access import Access
 from gonio.jobs.database import Database
+from gonio.jobs.demand import as_file, fingerprint_of, refuse_when_full, refuse_when_incomplete, same_job
 from gonio.jobs.filenames import check_role, guess_role
 from gonio.jobs.partial import PartialUploads, Upload, Whole
 from gonio.jobs.probe import Probe
@@ -25,17 +23,21 @@ from gonio.jobs.repository import (
     Place,
     Repository,
     count_jobs_of_all_labs,
+    erasures_of_all_labs_to_do,
     oldest_queued_job_of_all_labs,
     sessions_of_all_labs_untouched_since,
     tallies,
 )
 from gonio.jobs.spool import Incoming, Spool
 from gonio.jobs.store import Store
-from gonio.jobs.tables import ACTIVE, CalibrationRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
+from gonio.jobs.tables import ACTIVE, CalibrationRow, ErasureRow, FileRow, JobRow, JobState, ReportRow, SessionRow, now
 from gonio.jobs.webhooks import Webhooks
-from gonio.jobs.workflow import VERSION, session_prefix
+from gonio.jobs.workflow import session_prefix
 from gonio.pipeline.run import Role
 from gonio.settings import Settings
+
+SETTLED = timedelta(minutes=1)
+"""After so long, no worker computes a job any more that has ended."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,8 @@ class Service:
     def delete_session(self, lab: str, session_id: str) -> None:
         """Delete a session with its files, jobs and reports or calibrations, and everything that was computed from it.
 
+        What stays is that it was deleted, and who read it: ids only.
+
         Raises:
             CaptureError: ``session-busy`` while an analysis runs that reads it, or a calibration that it gave.
         """
@@ -150,10 +154,35 @@ class Service:
             row = repository.session(session_id)
             _refuse_when_busy(repository, session_id)
             jobs = [job.id for job in repository.jobs_of(session_id)]
+            erasure = ErasureRow(id=str(uuid4()), session_id=session_id, jobs=jobs)
+            repository.add(erasure)
             repository.delete(row)
-        self._queue.forget(jobs)
-        self.uploads.delete_of_session(session_id)
-        self._store.delete(session_prefix(lab, session_id))
+        # Should this process be killed here, or the store be out of reach, `erase_again` goes on with it.
+        with suppress(ResourceError):
+            self._erase(erasure)
+
+    def erase_again(self) -> None:
+        """Go on with deletions until nothing is left, and note when.
+
+        A worker may have stored something after the first time: its job was cancelled just before, and it hadn't heard.
+        """
+        with self._database.read() as session:
+            erasures = erasures_of_all_labs_to_do(session)
+        for erasure in erasures:
+            self._erase(erasure)
+            if erasure.created_at < now() - SETTLED:
+                with self._database.write(erasure.lab) as session:
+                    session.merge(erasure).done_at = now()
+
+    def erasures(self, lab: str, limit: int, after: Place | None = None) -> Sequence[ErasureRow]:
+        """List deletions of sessions, newest first."""
+        with self._reading(lab) as repository:
+            return repository.erasures(limit, after)
+
+    def _erase(self, erasure: ErasureRow) -> None:
+        self._queue.forget(erasure.jobs)
+        self.uploads.delete_of_session(erasure.session_id)
+        self._store.delete(session_prefix(erasure.lab, erasure.session_id))
 
     def begin_upload(
         self, lab: str, session_id: str, name: str, role: Role | None, camera: str | None, length: int
@@ -301,21 +330,21 @@ class Service:
                 wanted = {**parameters, "subject": {**owner.subject, **parameters.get("subject", {})}}
             known = repository.find_job(job_id)
             if known is not None:
-                return _same_job(known, session_id, wanted, calibration_id), False
+                return same_job(known, session_id, wanted, calibration_id), False
             files = [
                 {"name": f.name, "role": f.role, "camera": f.camera, "key": f.key, "sha256": f.sha256}
                 for f in repository.files(session_id)
             ]
             if calibration_id is not None:
-                files.append(_as_file(repository.calibration(calibration_id), owner.kind))
-            _refuse_when_incomplete(files, owner.kind)
-            fingerprint = _fingerprint(owner.kind, files, wanted)
+                files.append(as_file(repository.calibration(calibration_id), owner.kind))
+            refuse_when_incomplete(files, owner.kind)
+            fingerprint = fingerprint_of(owner.kind, files, wanted)
             if idempotency_key is None:
                 known = repository.find_same_job(session_id, fingerprint)
                 if known is not None:
                     return known, False
             active = repository.count_active_jobs()
-            _refuse_when_full(active, self._jobs_per_lab)
+            refuse_when_full(active, self._jobs_per_lab)
             row = JobRow(
                 id=job_id,
                 session_id=session_id,
@@ -411,46 +440,6 @@ def _same_file(known: FileRow, incoming: Incoming | Whole, role: Role, camera: s
     )
 
 
-def _as_file(row: CalibrationRow, kind: str) -> dict[str, Any]:
-    """Give a calibration's document as a file of a job: what it computes with, or what it checks."""
-    document = next(file for file in row.files if file["kind"] == "document")
-    return {
-        "name": f"calibration-{row.id}.json",
-        "role": "previous" if kind == "calibration" else "calibration",
-        "camera": None,
-        "key": document["key"],
-        "sha256": document["sha256"],
-    }
-
-
-def _fingerprint(kind: str, files: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]) -> str:
-    """Give a hash of all that a report depends on: this version of gonio, the files' contents, the parameters."""
-    contents = sorted([file["name"], file["role"], file["camera"] or "", file["sha256"]] for file in files)
-    content = json.dumps([version("gonio"), VERSION, kind, contents, parameters], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
-
-
-def _refuse_when_full(active: int, most: int) -> None:
-    if active >= most:
-        raise InputError(
-            f"{active} jobs of the lab wait or run, as many as may.",
-            hint="Wait until some of them have ended, or cancel those that aren't needed.",
-            code="too-many-jobs",
-            retry_after_s=60,
-        )
-
-
-def _same_job(known: JobRow, session_id: str, parameters: dict[str, Any], calibration_id: str | None) -> JobRow:
-    if (known.session_id, known.parameters, known.calibration_id) == (session_id, parameters, calibration_id):
-        return known
-    raise InputError(
-        "This Idempotency-Key was already used for another analysis.",
-        hint="Use a new key for each analysis, and the same one only to repeat a request that got no answer.",
-        code="idempotency-key-reused",
-        job=known.id,
-    )
-
-
 def _refuse_when_busy(repository: Repository, session_id: str) -> None:
     jobs = repository.active_jobs(session_id)
     if jobs:
@@ -459,41 +448,4 @@ def _refuse_when_busy(repository: Repository, session_id: str) -> None:
             hint="Wait for its end, or cancel it first.",
             code="session-busy",
             jobs=[job.id for job in jobs],
-        )
-
-
-def _refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> None:
-    calibrations = [file["name"] for file in files if file["role"] in ("calibration", "previous")]
-    if len(calibrations) > 1:
-        raise InputError(
-            f"There are {len(calibrations)} calibrations: {', '.join(calibrations)}.",
-            hint="Delete the uploaded one, or name none in the request.",
-            code="calibration-ambiguous",
-        )
-    if kind == "calibration":
-        _refuse_without_sweep(files)
-        return
-    videos = max(sum(file["role"] == role for file in files) for role in ("video", "keypoints"))
-    if not calibrations:
-        raise CaptureError(
-            "The session has no calibration.",
-            hint="Name one of GET /v1/calibrations, or upload that of its cameras; then start the analysis again.",
-            code="calibration-missing",
-        )
-    if videos < 2:
-        raise CaptureError(
-            f"The session has {'no video' if videos == 0 else 'one video'}; the analysis needs at least two.",
-            hint="Upload the videos, or the keypoints, of at least two calibrated cameras, then start the analysis again.",
-            code="too-few-videos",
-            videos=videos,
-        )
-
-
-def _refuse_without_sweep(files: Sequence[Mapping[str, Any]]) -> None:
-    cameras = {file["camera"] or file["name"] for file in files if file["role"] == "sweep"}
-    if len(cameras) < 2:
-        raise CaptureError(
-            f"The board was filmed by {'no camera' if not cameras else 'one camera'}; a rig has two or more.",
-            hint="Upload each camera's video of the board, filmed at the same time, with role=sweep.",
-            code="too-few-cameras",
         )

@@ -136,6 +136,17 @@ class ReadingRow(Row):
     what: Mapped[str]
 
 
+class ErasureRow(Row):
+    """The deletion of a session: written with the deletion of its rows, done when nothing else is left of it either."""
+
+    __tablename__ = "erasures"
+    __table_args__ = (Index(None, "lab", "created_at"), Index(None, "done_at"))
+
+    session_id: Mapped[str] = mapped_column(String(36))
+    jobs: Mapped[list[str]]
+    done_at: Mapped[datetime | None]
+
+
 class WebhookRow(Row):
     """An address of a lab's that hears when its jobs end."""
 

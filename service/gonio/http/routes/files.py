@@ -49,6 +49,7 @@ ACCEPTING = (
     "plates-missing",
     "file-exists",
     "file-too-large",
+    "file-too-nested",
     "disk-full",
     "quota-exceeded",
 )
