@@ -261,13 +261,13 @@ def add_to_tallies(session: Session, added: Mapping[str, float]) -> None:
 
 def tallies(session: Session) -> Mapping[str, tuple[int, float]]:
     """Give all tallies by name: how often, and how much."""
-    rows = session.execute(sa.select(TALLIES.c.name, TALLIES.c["count"], TALLIES.c.total)).tuples()
+    rows = session.execute(sa.select(TALLIES.c.name, TALLIES.c["count"], TALLIES.c.total))
     return {name: (count, total) for name, count, total in rows}
 
 
 def count_jobs_of_all_labs(session: Session) -> Mapping[str, int]:
     """Count the jobs in each state."""
-    return dict(session.execute(sa.select(JobRow.state, sa.func.count()).group_by(JobRow.state)).tuples().all())
+    return dict(session.execute(sa.select(JobRow.state, sa.func.count()).group_by(JobRow.state)).all())
 
 
 def oldest_queued_job_of_all_labs(session: Session) -> datetime | None:
@@ -293,7 +293,7 @@ def claim_deliveries_of_all_labs(
     mine = sa.update(DeliveryRow).where(DeliveryRow.id.in_(due), DeliveryRow.due_at <= time).values(due_at=until)
     ids = session.scalars(mine.returning(DeliveryRow.id)).all()
     query = sa.select(DeliveryRow, WebhookRow).join(WebhookRow, WebhookRow.id == DeliveryRow.webhook_id)
-    return list(session.execute(query.where(DeliveryRow.id.in_(ids))).tuples())
+    return list(session.execute(query.where(DeliveryRow.id.in_(ids))))
 
 
 def erasures_of_all_labs_to_do(session: Session) -> Sequence[ErasureRow]:
