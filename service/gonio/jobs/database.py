@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from importlib.resources import as_file, files
 from typing import Any, TypeVar
 
+import psycopg
 import sqlalchemy as sa
 from alembic import command
 from alembic.config import Config
@@ -95,7 +96,23 @@ def database_unreachable() -> ResourceError:
 
 
 def upgrade(settings: Settings) -> None:
-    """Bring the database to this version's tables; safe to call from several processes at once."""
+    """Bring the database to this version's tables; safe to call from several processes at once.
+
+    Raises:
+        ResourceError: ``database-unreachable``, for whoever starts the service: it says why.
+    """
+    try:
+        _upgrade(settings)
+    except (OperationalError, psycopg.OperationalError) as error:
+        reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+        raise ResourceError(
+            f"The database can't be used: {reason}.",
+            hint="See that it runs, that GONIO_DATABASE_URL is right, and that its disk has room and can be written.",
+            code="database-unreachable",
+        ) from error
+
+
+def _upgrade(settings: Settings) -> None:
     for library in ("dbos", "alembic"):  # they tell each of a hundred migrations
         logging.getLogger(library).setLevel(logging.WARNING)
     settings.data_dir.mkdir(parents=True, exist_ok=True)
