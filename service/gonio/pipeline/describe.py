@@ -38,7 +38,17 @@ from gonio.pipeline.report_schema import (
 )
 from gonio.pipeline.rounding import number, series
 from gonio.pipeline.run import CaptureFile
-from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, GroundForces, LabPoints, Torques
+from gonio.records import (
+    PARTIAL,
+    TOO_FEW_MARKERS,
+    Capture,
+    Finding,
+    ForceCoefficients,
+    GaitAnalysis,
+    GroundForces,
+    LabPoints,
+    Torques,
+)
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -62,6 +72,7 @@ class Analysis:
     body: SubjectBody
     motion: BodyMotion
     measured: Measured
+    coefficients: ForceCoefficients
     forces: GroundForces | None
     torques: Torques | None
     gait: GaitAnalysis
@@ -246,7 +257,9 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
         time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
         angles=describe_angles(analysis),
         gait=describe_gait(analysis.gait, analysis.parameters.subject),
-        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion),
+        kinetics=describe_kinetics(
+            analysis.forces, analysis.torques, analysis.motion, analysis.measured, analysis.coefficients
+        ),
         provenance=describe_provenance(analysis.files, analysis.parameters, models),
     )
 
