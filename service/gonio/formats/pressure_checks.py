@@ -15,9 +15,6 @@ NEGATIVE = 0.05
 MOST_NEGATIVE = 0.01
 """Share of samples below it: more are no spikes."""
 
-STANDING = 0.5
-"""A foot that never carries less than this share of its most doesn't step: somebody stands on it."""
-
 SOLE_M = ((-0.05, 0.40), (-0.12, 0.12))
 """Where a centre of pressure can lie in the mean: along the sole from the heel, and across it from its middle line."""
 
@@ -38,7 +35,7 @@ def check_values(
     """
     for foot, side in enumerate(FEET):
         known = force[np.isfinite(force[:, foot]), foot]
-        if known.size < 2 or (np.ptp(known) == 0 and not _stands_on_other(force, foot)):
+        if known.size < 2 or np.ptp(known) == 0:
             said = f"always shows {known[0]:g}" if known.size else "has no value"
             raise InputError(
                 f"The {side} foot {said} in {name}.",
@@ -68,20 +65,11 @@ def check_values(
     return float((known < 0).mean())
 
 
-def _stands_on_other(force: Float[np.ndarray, "sample foot"], foot: int) -> bool:
-    """Say whether a foot that shows nothing all through may be in the air all through: the other one carries all the time."""
-    other = force[np.isfinite(force[:, 1 - foot]), 1 - foot]
-    silent = bool(np.nanmax(np.abs(force[:, foot])) == 0)
-    return silent and other.size > 1 and float(np.percentile(other, 5)) > STANDING * float(np.percentile(other, 98))
-
-
 def _check_centres(
     force: Float[np.ndarray, "sample foot"], cop_m: Float[np.ndarray, "sample foot 2"], name: str
 ) -> None:
     for foot, side in enumerate(FEET):
         pressed = force[:, foot] > 0.3 * np.nanpercentile(force[:, foot], 98)
-        if not pressed.any():  # somebody stands on the other foot
-            continue
         places_m = cop_m[pressed, foot]
         known = np.isfinite(places_m).all(axis=1)
         if known.mean() < 0.1:

@@ -48,11 +48,6 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
         from gonio.formats.openpose import count_frames, keypoint_count
 
         return {"frames": count_frames(path), "keypoints": keypoint_count(path)}
-    if role == "force_coefficients":
-        from gonio.formats.force_coefficients import read_force_coefficients
-
-        coefficients = read_force_coefficients(path)
-        return {"source": coefficients.source, "tasks": list(coefficients.tasks)}
     if role in ("pressure", "pressure_card", "force_plates"):
         return _probe_forces(path, role)
     if role in ("board", "optics", "floor_points", "previous"):

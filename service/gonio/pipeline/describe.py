@@ -38,17 +38,7 @@ from gonio.pipeline.report_schema import (
 )
 from gonio.pipeline.rounding import number, series
 from gonio.pipeline.run import CaptureFile
-from gonio.records import (
-    PARTIAL,
-    TOO_FEW_MARKERS,
-    Capture,
-    Finding,
-    ForceCoefficients,
-    GaitAnalysis,
-    GroundForces,
-    LabPoints,
-    Torques,
-)
+from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, GroundForces, LabPoints, Torques
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -72,7 +62,6 @@ class Analysis:
     body: SubjectBody
     motion: BodyMotion
     measured: Measured
-    coefficients: ForceCoefficients
     forces: GroundForces | None
     torques: Torques | None
     gait: GaitAnalysis
@@ -257,9 +246,7 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
         time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
         angles=describe_angles(analysis),
         gait=describe_gait(analysis.gait, analysis.parameters.subject),
-        kinetics=describe_kinetics(
-            analysis.forces, analysis.torques, analysis.motion, analysis.measured, analysis.coefficients
-        ),
+        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion),
         provenance=describe_provenance(analysis.files, analysis.parameters, models),
     )
 

@@ -4,11 +4,10 @@ import numpy as np
 
 from gonio.kernel.kinematics.clinical import find_clinical_angles
 from gonio.pipeline.motion import BodyMotion
-from gonio.pipeline.pressure import Measured
 from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_kinetics import FootForce, JointTorque, Kinetics
 from gonio.pipeline.rounding import number, series
-from gonio.records import ForceCoefficients, GroundForces, Torques
+from gonio.records import GroundForces, Torques
 
 SIDES: tuple[Side, Side] = ("right", "left")
 
@@ -19,21 +18,12 @@ JOINTS = {
 }
 
 
-def describe_kinetics(
-    forces: GroundForces | None,
-    torques: Torques | None,
-    found: BodyMotion,
-    measured: Measured,
-    coefficients: ForceCoefficients,
-) -> Kinetics | None:
+def describe_kinetics(forces: GroundForces | None, torques: Torques | None, found: BodyMotion) -> Kinetics | None:
     """Describe forces and torques; None where there are none. Torques extend, as the report's moments do."""
     if forces is None or torques is None:
         return None
     known = torques.residual[np.isfinite(torques.residual).all(axis=1), :3]
     return Kinetics(
-        coefficients=coefficients.source,
-        clock_offset_ms=None if measured.clock is None else number(1e3 * measured.clock.offset_s, 1),
-        clock_sd_ms=None if measured.clock is None else number(1e3 * measured.clock.sd_s, 1),
         task=forces.task.replace("_", " "),
         asked=forces.asked,
         fallback=forces.fallback,

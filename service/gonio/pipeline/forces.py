@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio.errors import InputError
+from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.kernel.dynamics.opensim import SmoothMotion
 from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
 from gonio.kernel.forces.estimate import ForceChoice, estimate_forces, measured_forces, with_plates
@@ -14,7 +15,7 @@ from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import ForceParameters, Parameters
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
-from gonio.records import FEET, BodyModel, Finding, ForceCoefficients, GroundForces
+from gonio.records import FEET, BodyModel, Finding, GroundForces
 
 CUTOFF_HZ = {"running": 15.0, "landing": 12.0}
 """Of the movement's low-pass by task, where it is not :data:`SLOW_HZ`: impacts are faster."""
@@ -23,16 +24,13 @@ SLOW_HZ = 6.0
 NEEDED = ("pelvis", "calcn_r", "calcn_l", "toes_r", "toes_l")
 
 
-def find_forces(
-    found: BodyMotion, measured: Measured, parameters: Parameters, coefficients: ForceCoefficients
-) -> Outcome[GroundForces | None]:
+def find_forces(found: BodyMotion, measured: Measured, parameters: Parameters) -> Outcome[GroundForces | None]:
     """Find what the ground does to the feet; None where nothing was measured, or the mass is not known.
 
     Args:
         found: The motion and its body.
         measured: What soles and plates measured.
         parameters: The method, the task, and the subject's mass.
-        coefficients: The numbers by which shear is found.
     """
     soles, plates, model = measured.pressure, measured.plates, found.model
     if soles is None and plates is None:
@@ -42,7 +40,7 @@ def find_forces(
     q = complete(found)
     if not set(NEEDED) <= set(model.bodies.names) or np.isfinite(q).all(axis=1).sum() < FEWEST_FRAMES:
         return Outcome(None, (finding("forces-missing", where="the movement of pelvis and feet is not known"),))
-    choice = force_choice(parameters.forces)
+    choice, coefficients = force_choice(parameters.forces), builtin_force_coefficients()
     cutoff_hz = CUTOFF_HZ.get(choice.task or "", SLOW_HZ)
     body = observe(model, differentiate(found.motion.times_s, q, cutoff_hz))
     if soles is None:

@@ -27,8 +27,7 @@ def analyse(
 
     Args:
         capture_files: The videos (or the keypoints that another program found in them) and the calibration; the table of
-            foot pressure with its card, the force plates, the lab's own coefficients of forces; the lab's own body model and
-            its marker set: each if there is one.
+            foot pressure with its card, the force plates; the lab's own body model and its marker set: each if there is one.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -54,8 +53,8 @@ def analyse(
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
     measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
-    forces = runner("forces", lambda _: find_forces(motion, measured, chosen, sensors.coefficients))
-    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen, sensors.coefficients))
+    forces = runner("forces", lambda _: find_forces(motion, measured, chosen))
+    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen))
     moments = moment_curves(motion, torques)
     gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured, moments))
 
@@ -71,7 +70,6 @@ def analyse(
         body=body,
         motion=motion,
         measured=measured,
-        coefficients=sensors.coefficients,
         forces=forces,
         torques=torques,
         gait=gait,

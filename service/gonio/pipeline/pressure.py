@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.errors import InputError
-from gonio.formats.force_coefficients import builtin_force_coefficients, read_force_coefficients
 from gonio.formats.force_plates import read_force_plates
 from gonio.formats.pressure_card import MatCard, read_pressure_card
 from gonio.formats.pressure_csv import read_pressure
@@ -24,16 +23,7 @@ from gonio.pipeline.findings import finding
 from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.run import CaptureFile, Outcome
-from gonio.records import (
-    FEET,
-    Finding,
-    FootForces,
-    FootPressure,
-    ForceCoefficients,
-    ForcePlates,
-    PressureStream,
-    record,
-)
+from gonio.records import FEET, Finding, FootForces, FootPressure, ForcePlates, PressureStream, record
 
 MARGIN_S = 1.0
 """So much of the stream is kept before and after the video: its clock may be that far off."""
@@ -57,12 +47,11 @@ class Sensors:
     """What the session's soles and plates hold, None where there are none.
 
     Of a mat the ``stream`` has each foot carry half; ``mat`` and ``mat_card`` are its files, to be read again when it is known
-    where the feet are. ``coefficients`` are the lab's own, or gonio's.
+    where the feet are.
     """
 
     stream: PressureStream | None
     plates: ForcePlates | None
-    coefficients: ForceCoefficients
     mat: Path | None = None
     mat_card: Path | None = None
 
@@ -82,7 +71,7 @@ class Measured:
 
 
 def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sensors]:
-    """Read the pressure stream, the force plates and the coefficients of forces of a session.
+    """Read the pressure stream and the force plates of a session.
 
     Args:
         files: The session's files.
@@ -106,11 +95,7 @@ def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sen
         findings.append(finding("plates-over-soles"))
     if table is None or not isinstance(declared, MatCard):
         table = card = None
-    own = only_file(files, "force_coefficients")
-    coefficients = builtin_force_coefficients() if own is None else read_force_coefficients(own)
-    return Outcome(
-        Sensors(stream=stream, plates=plates, coefficients=coefficients, mat=table, mat_card=card), tuple(findings)
-    )
+    return Outcome(Sensors(stream=stream, plates=plates, mat=table, mat_card=card), tuple(findings))
 
 
 def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters) -> Outcome[Measured]:

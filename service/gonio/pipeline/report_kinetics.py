@@ -35,11 +35,6 @@ class JointTorque(ReportModel):
 class Kinetics(ReportModel):
     """Forces under the feet and torques of the joints."""
 
-    coefficients: Annotated[str, Field(description="Where the numbers come from by which shear was found.")]
-    clock_offset_ms: Annotated[
-        float | None, Field(description="How far the soles' clock ran ahead of the video's; null: not looked for.")
-    ]
-    clock_sd_ms: Annotated[float | None, Field(description="Standard deviation of that offset.")]
     task: str
     asked: Annotated[str, Field(description="The method that was asked for.")]
     fallback: Annotated[str, Field(description="Why another method was used; empty if none was.")]

@@ -382,13 +382,3 @@ def test_a_messy_real_insole_goes_through_and_nothing_is_invented(insole_iscas, 
     known = np.isfinite(stream.pressure.cop_foot_m[..., 0])
     assert (known == (np.nan_to_num(stream.pressure.vertical_n) > 0)).all()
     assert (np.abs(stream.pressure.cop_foot_m[known] - [0.128, 0.0]) <= [0.128, 0.049]).all()
-
-
-def test_somebody_who_stands_on_one_leg_is_no_missing_sole(write):
-    """The other foot carries all through: nothing says that a sole is missing, and the stream is read."""
-
-    table = steps()
-    table = table.assign(left_force_n=0.0, right_force_n=700.0 + 20.0 * np.sin(np.arange(len(table))))
-    stream = read_pressure(*write(table))
-    assert np.nanmax(stream.pressure.vertical_n[:, 1]) == 0.0
-    assert np.nanmin(stream.pressure.vertical_n[:, 0]) > 600.0

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.formats.osim import read_osim
 from gonio.kernel.virtual_lab import SOLES, grow, press, truth_at, walk
 from gonio.pipeline.describe_kinetics import describe_kinetics
@@ -17,7 +16,6 @@ from gonio.pipeline.pressure import Measured
 from gonio.records import FootForces, Motion
 from gonio.resources import models_dir
 
-COEFFICIENTS = builtin_force_coefficients()
 CHOSEN = Parameters(subject=Subject(mass_kg=70.0))
 
 
@@ -61,8 +59,8 @@ def codes(*outcomes):
 
 
 def test_soles_give_knee_torques_with_bands(found, soles, truth):
-    forces = find_forces(found, soles, CHOSEN, COEFFICIENTS)
-    torques = find_joint_torques(found, soles, forces.value, CHOSEN, COEFFICIENTS)
+    forces = find_forces(found, soles, CHOSEN)
+    torques = find_joint_torques(found, soles, forces.value, CHOSEN)
     assert forces.value.methods == ("template", "template")
     assert codes(forces) == {"forces-method", "forces-gain"}
     assert not torques.findings
@@ -78,7 +76,7 @@ def test_soles_give_knee_torques_with_bands(found, soles, truth):
     plantarflexion = next(m for m in moments if m.quantity == "ankle_plantarflexion_moment" and m.side == "right")
     assert plantarflexion.values.max() > 1.0  # Nm/kg at push-off in any walk, and never as much the other way
     assert plantarflexion.values.min() > -0.5
-    described = describe_kinetics(forces.value, torques.value, found, soles, COEFFICIENTS)
+    described = describe_kinetics(forces.value, torques.value, found)
     assert described.task == "walking"
     assert len(described.torques) == 6
     assert len(described.feet[0].up_n) == len(truth.times_s)
@@ -92,10 +90,10 @@ def test_plates_take_precedence(found, soles, truth):
         shared=np.zeros(len(truth.times_s), dtype=bool),
     )
     for measured in (Measured(pressure=None, clock=None, plates=plates), replace(soles, plates=plates)):
-        forces = find_forces(found, measured, CHOSEN, COEFFICIENTS)
+        forces = find_forces(found, measured, CHOSEN)
         assert forces.value.methods == ("plates", "plates")
         assert codes(forces) == set()
-        torques = find_joint_torques(found, measured, forces.value, CHOSEN, COEFFICIENTS).value
+        torques = find_joint_torques(found, measured, forces.value, CHOSEN).value
         index = torques.index("knee_angle_r")
         error_nm = (torques.values[:, index] - truth.moment_of("knee_angle_r"))[6:-6]
         # What the movement's low-pass of 6 Hz takes.
@@ -103,16 +101,16 @@ def test_plates_take_precedence(found, soles, truth):
 
 
 def test_without_a_mass_there_are_angles_but_no_torques(found, soles):
-    forces = find_forces(found, soles, Parameters(), COEFFICIENTS)
+    forces = find_forces(found, soles, Parameters())
     assert forces.value is None
     assert codes(forces) == {"torque-mass-missing"}
-    assert find_joint_torques(found, soles, None, Parameters(), COEFFICIENTS).value is None
+    assert find_joint_torques(found, soles, None, Parameters()).value is None
     assert moment_curves(found, None) == ()
-    assert describe_kinetics(None, None, found, soles, COEFFICIENTS) is None
+    assert describe_kinetics(None, None, found) is None
 
 
 def test_without_soles_and_plates_nothing_is_said(found):
-    nothing = find_forces(found, Measured(pressure=None, clock=None, plates=None), CHOSEN, COEFFICIENTS)
+    nothing = find_forces(found, Measured(pressure=None, clock=None, plates=None), CHOSEN)
     assert nothing.value is None
     assert nothing.findings == ()
 
@@ -120,22 +118,22 @@ def test_without_soles_and_plates_nothing_is_said(found):
 def test_one_foot_only_is_said(found, soles):
     one = soles.pressure.vertical_n.copy()
     one[:, 1] = 0.0
-    forces = find_forces(found, replace(soles, pressure=replace(soles.pressure, vertical_n=one)), CHOSEN, COEFFICIENTS)
+    forces = find_forces(found, replace(soles, pressure=replace(soles.pressure, vertical_n=one)), CHOSEN)
     assert "forces-one-foot" in codes(forces)
-    torques = find_joint_torques(found, soles, forces.value, CHOSEN, COEFFICIENTS)
+    torques = find_joint_torques(found, soles, forces.value, CHOSEN)
     assert "residuals-high" in codes(torques)
 
 
 def test_no_contact_is_said(found, soles):
     none = replace(soles, pressure=replace(soles.pressure, vertical_n=0 * np.nan_to_num(soles.pressure.vertical_n)))
-    assert codes(find_forces(found, none, CHOSEN, COEFFICIENTS)) == {"forces-missing"}
+    assert codes(find_forces(found, none, CHOSEN)) == {"forces-missing"}
 
 
 def test_a_slow_walk_and_a_landing_are_said(found, soles):
     landing = replace(CHOSEN, forces=ForceParameters(task="landing"))
-    assert "forces-indicative" in codes(find_forces(found, soles, landing, COEFFICIENTS))
+    assert "forces-indicative" in codes(find_forces(found, soles, landing))
     crawl = replace(found.motion, times_s=2 * found.motion.times_s)
     pressure = replace(soles.pressure, times_s=2 * soles.pressure.times_s)
-    slow = find_forces(replace(found, motion=crawl), replace(soles, pressure=pressure), CHOSEN, COEFFICIENTS)
+    slow = find_forces(replace(found, motion=crawl), replace(soles, pressure=pressure), CHOSEN)
     assert slow.value.methods == ("pivot", "pivot")
     assert "forces-outside-range" in codes(slow)

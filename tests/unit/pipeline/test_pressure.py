@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from gonio.errors import InputError
-from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.formats.osim import read_osim
 from gonio.formats.pressure_csv import write_pressure
 from gonio.kernel.virtual_lab import SOLES, grow, press, truth_at, walk
@@ -184,17 +183,13 @@ def test_plates_take_their_feet(walker, motion):
         free_moment_nm=np.zeros(truth.wrench.shape[:2]),
         corners_lab_m=np.full((2, 4, 3), np.nan),
     )
-    outcome = measure_forces(
-        Sensors(stream=None, plates=plates, coefficients=builtin_force_coefficients()), motion, CHOSEN
-    )
+    outcome = measure_forces(Sensors(stream=None, plates=plates), motion, CHOSEN)
     assert outcome.findings == ()
     right, left = outcome.value.plates.wrench[:, 0, 1], outcome.value.plates.wrench[:, 1, 1]
     both = np.isfinite(right) & np.isfinite(left)
     assert (right + left)[both][10:-10].mean() == pytest.approx(70 * 9.80665, rel=0.05)
     elsewhere = replace(plates, cop_lab_m=plates.cop_lab_m + np.array([0.0, 0.0, 2.0]))
-    missed = measure_forces(
-        Sensors(stream=None, plates=elsewhere, coefficients=builtin_force_coefficients()), motion, CHOSEN
-    )
+    missed = measure_forces(Sensors(stream=None, plates=elsewhere), motion, CHOSEN)
     assert set(said(missed)) == {"plates-not-used"}
 
 
