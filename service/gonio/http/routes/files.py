@@ -90,6 +90,7 @@ _FORM = {
             "pressure-negative",
             "pressure-unit",
             "pressure-cop",
+            "force-coefficients-invalid",
             "capture-file-unreadable",
             "plates-missing",
             "file-exists",
