@@ -30,9 +30,10 @@ Document = dict[str, Any]
 
 Role = Literal[
     "video", "keypoints", "calibration", "body_model", "marker_set", "pressure", "pressure_card", "force_plates",
+    "force_coefficients",
     "sweep", "lens", "floor", "board", "optics", "floor_points", "previous",
 ]  # fmt: skip
-"""What a file is: the first eight in a session of a person, the others in a session of kind ``calibration``."""
+"""What a file is: the first nine in a session of a person, the others in a session of kind ``calibration``."""
 
 RESUMABLE_BYTES = 8_000_000
 """From this size on, an upload can be gone on with after a cut; a smaller one is simply sent again."""

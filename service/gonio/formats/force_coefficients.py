@@ -33,7 +33,7 @@ def read_force_coefficients(path: Path) -> ForceCoefficients:
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path.name} does not hold the coefficients of forces: {type(error).__name__} {error}.",
-            hint="Copy models/forces/default.toml, and change its numbers.",
+            hint="Copy gonio's models/forces/default.toml, change its numbers, and say in `source` where they come from.",
             code="force-coefficients-invalid",
         ) from error
 

@@ -15,6 +15,9 @@ NEGATIVE = 0.05
 MOST_NEGATIVE = 0.01
 """Share of samples below it: more are no spikes."""
 
+IN_THE_AIR = 0.05
+"""A foot whose usual largest value is so little of the other foot's stands nowhere: it needs no centre of pressure."""
+
 SOLE_M = ((-0.05, 0.40), (-0.12, 0.12))
 """Where a centre of pressure can lie in the mean: along the sole from the heel, and across it from its middle line."""
 
@@ -35,7 +38,9 @@ def check_values(
     """
     for foot, side in enumerate(FEET):
         known = force[np.isfinite(force[:, foot]), foot]
-        if known.size < 2 or np.ptp(known) == 0:
+        if known.size < 2 or (
+            np.ptp(known) == 0 and known[0] != 0
+        ):  # always 0 is a foot in the air: the movement tells
             said = f"always shows {known[0]:g}" if known.size else "has no value"
             raise InputError(
                 f"The {side} foot {said} in {name}.",
@@ -68,8 +73,11 @@ def check_values(
 def _check_centres(
     force: Float[np.ndarray, "sample foot"], cop_m: Float[np.ndarray, "sample foot 2"], name: str
 ) -> None:
+    largest = np.nanpercentile(force, 98, axis=0)
     for foot, side in enumerate(FEET):
-        pressed = force[:, foot] > 0.3 * np.nanpercentile(force[:, foot], 98)
+        if largest[foot] <= IN_THE_AIR * largest.max():
+            continue
+        pressed = force[:, foot] > 0.3 * largest[foot]
         places_m = cop_m[pressed, foot]
         known = np.isfinite(places_m).all(axis=1)
         if known.mean() < 0.1:

@@ -81,6 +81,9 @@ KINDS: Mapping[str, Kind] = {
     "pressure-negative": Kind(422, "Pressure negative", "More values are below zero than noise explains."),
     "pressure-unit": Kind(422, "Unit of pressure wrong", "Both feet together carry what no person weighs."),
     "pressure-cop": Kind(422, "Centre of pressure wrong", "It is missing, or lies off the sole."),
+    "force-coefficients-invalid": Kind(
+        422, "Force coefficients unreadable", "An entry is missing, or of the wrong kind."
+    ),
     "capture-file-unreadable": Kind(
         422, "C3D unreadable", "The file is no C3D, is cut short, or holds plates of unknown type."
     ),

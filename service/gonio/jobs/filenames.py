@@ -12,6 +12,7 @@ MAX_BYTES = 255
 """The longest file name that the usual file systems take."""
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".webm", ".wmv")
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+FORCE_COEFFICIENTS = ("forces.toml", "force_coefficients.toml")
 PRESSURE_CARDS = ("pressure.toml", "pressure_card.toml")
 OTHERS: dict[str, Role] = {
     ".osim": "body_model",
@@ -64,6 +65,8 @@ def guess_role(name: str, kind: str) -> Role:
         return "video"
     elif name.lower().endswith(PRESSURE_CARDS):
         return "pressure_card"
+    elif name.lower().endswith(FORCE_COEFFICIENTS):
+        return "force_coefficients"
     elif suffix in CALIBRATIONS:
         return "calibration"
     elif suffix in OTHERS:

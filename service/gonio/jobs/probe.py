@@ -64,7 +64,7 @@ def _probe(path: Path, role: Role) -> dict[str, Any]:
         from gonio.formats.openpose import count_frames, keypoint_count
 
         return {"frames": count_frames(path), "keypoints": keypoint_count(path)}
-    if role in ("pressure", "pressure_card", "force_plates"):
+    if role in ("pressure", "pressure_card", "force_plates", "force_coefficients"):
         return _probe_forces(path, role)
     if role in ("board", "optics", "floor_points", "previous"):
         return _probe_calibration_input(path, role)
@@ -76,6 +76,7 @@ def _probe(path: Path, role: Role) -> dict[str, Any]:
 def _probe_forces(path: Path, role: Role) -> dict[str, Any]:
     import numpy as np
 
+    from gonio.formats.force_coefficients import read_force_coefficients
     from gonio.formats.force_plates import read_force_plates
     from gonio.formats.pressure_card import read_pressure_card
     from gonio.formats.pressure_csv import has_default_columns, read_pressure
@@ -83,6 +84,8 @@ def _probe_forces(path: Path, role: Role) -> dict[str, Any]:
     if role == "pressure_card":
         card = read_pressure_card(path)
         return {"kind": card.kind, "time_column": card.time.column}
+    if role == "force_coefficients":
+        return {"source": read_force_coefficients(path).source}
     if role == "force_plates":
         plates = read_force_plates(path)
         return {"plates": plates.force_lab_n.shape[1], "samples": len(plates.times_s)}

@@ -27,7 +27,7 @@ from gonio.pipeline.run import CaptureFile, ReportFiles, River, Role
 
 log = logging.getLogger(__name__)
 
-VERSION = "pipeline-3"
+VERSION = "pipeline-4"
 """The version of the steps' names and order. DBOS goes on with a job only in the version that began it: change it when
 a stage is added, removed or moved, and only then, or each deployment would strand the jobs that are under way."""
 

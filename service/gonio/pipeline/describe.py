@@ -15,7 +15,7 @@ from gonio.kernel.kinematics.clinical import ClinicalAngle, clinical_deg, clinic
 from gonio.kernel.synchronization.delays import Synchronization
 from gonio.pipeline.body import SubjectBody
 from gonio.pipeline.describe_gait import describe_gait
-from gonio.pipeline.describe_kinetics import describe_kinetics
+from gonio.pipeline.describe_kinetics import describe_kinetics, describe_pressure
 from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import Parameters, parameters_document
@@ -38,7 +38,17 @@ from gonio.pipeline.report_schema import (
 )
 from gonio.pipeline.rounding import number, series
 from gonio.pipeline.run import CaptureFile
-from gonio.records import PARTIAL, TOO_FEW_MARKERS, Capture, Finding, GaitAnalysis, GroundForces, LabPoints, Torques
+from gonio.records import (
+    PARTIAL,
+    TOO_FEW_MARKERS,
+    Capture,
+    Finding,
+    ForceCoefficients,
+    GaitAnalysis,
+    GroundForces,
+    LabPoints,
+    Torques,
+)
 
 JOINTS = {
     "hip_flexion": ("hip", "Hip flexion", "flexion"),
@@ -62,6 +72,7 @@ class Analysis:
     body: SubjectBody
     motion: BodyMotion
     measured: Measured
+    coefficients: ForceCoefficients
     forces: GroundForces | None
     torques: Torques | None
     gait: GaitAnalysis
@@ -246,7 +257,8 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
         time_s=[round(float(t), 5) for t in capture.timebase.times_s(capture.frame_count)],
         angles=describe_angles(analysis),
         gait=describe_gait(analysis.gait, analysis.parameters.subject),
-        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion),
+        pressure=describe_pressure(analysis.measured),
+        kinetics=describe_kinetics(analysis.forces, analysis.torques, analysis.motion, analysis.coefficients.source),
         provenance=describe_provenance(analysis.files, analysis.parameters, models),
     )
 

@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.kernel.dynamics.opensim import SmoothMotion
 from gonio.kernel.dynamics.recursive import Wrench
 from gonio.kernel.dynamics.zero_lag import differentiate
@@ -23,7 +22,7 @@ from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
-from gonio.records import GroundForces, TimeCurve, Torques
+from gonio.records import ForceCoefficients, GroundForces, TimeCurve, Torques
 
 LARGEST_RESIDUAL = 0.20
 """Root mean square of the force that the movement needs beyond what the feet give, by the body's weight: the virtual demo's
@@ -38,7 +37,11 @@ MOMENTS = {
 
 
 def find_joint_torques(
-    found: BodyMotion, measured: Measured, forces: GroundForces | None, parameters: Parameters
+    found: BodyMotion,
+    measured: Measured,
+    forces: GroundForces | None,
+    parameters: Parameters,
+    coefficients: ForceCoefficients,
 ) -> Outcome[Torques | None]:
     """Compute torques with bands; None without forces.
 
@@ -47,11 +50,12 @@ def find_joint_torques(
         measured: The soles, whose errors the bands contain.
         forces: Under the feet.
         parameters: The method and the task.
+        coefficients: By which the forces were found.
     """
     if forces is None:
         return Outcome(None)
     model, q, motion = found.model, complete(found), smooth_motion(found, forces.task)
-    coefficients, wrenches_of = builtin_force_coefficients(), _fixed(forces)
+    wrenches_of = _fixed(forces)
     if measured.pressure is not None and forces.methods != ("plates", "plates"):
         clock_s = measured.clock.sd_s if measured.clock is not None else SoleDoubt.clock_s
         doubt = SoleDoubt(clock_s=clock_s if np.isfinite(clock_s) else SoleDoubt.clock_s)

@@ -33,10 +33,10 @@ FORCE_KINDS: dict[str, Kind] = {
         "Nm/kg",
     ),
     "forces-one-foot": Kind(
-        "serious",
+        "info",
         "forces",
         "The {where} foot carries nothing in the whole trial: its torques are those of a leg in the air.",
-        "Check that the sole records, and that its columns are declared in the card.",
+        "If it stood on the ground, check that the sole records, and that its columns are declared in the card.",
     ),
     "forces-missing": Kind(
         "serious",

@@ -45,6 +45,22 @@ SENSOR_KINDS: dict[str, Kind] = {
         "Is it the stream of this trial and this person? Start both clocks within a quarter of a second (time.zero in the "
         "card), record at least three steps, or trigger both and ask for forces.synchronization = hardware.",
     ),
+    "pressure-clock-idle": Kind(
+        "info",
+        "pressure",
+        "The subject stands so still that nothing depends on the soles' clock, and nothing shows it either: it was taken to be "
+        "the video's.",
+        "Make sure that the stream is of this trial: standing still can't show it.",
+    ),
+    "pressure-foot-silent": Kind(
+        "serious",
+        "pressure",
+        "The pressure stream was not used: the {where} sole shows no load in the whole trial, and the other one carries too "
+        "little for the movement in {value:.0f} % of it.",
+        "Check that both soles were on and record, and that the card names the right columns: what the ground does to the body "
+        "is known from both feet only.",
+        "%",
+    ),
     "pressure-feet-swapped": Kind(
         "serious",
         "pressure",

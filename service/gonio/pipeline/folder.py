@@ -12,6 +12,7 @@ ENDINGS: tuple[tuple[tuple[str, ...], TrialRole], ...] = (
     (CALIBRATION_SUFFIXES, "calibration"),
     ((".markerset.toml",), "marker_set"),
     (("pressure.toml",), "pressure_card"),
+    (("forces.toml", "force_coefficients.toml"), "force_coefficients"),
     ((".csv",), "pressure"),
     ((".c3d", ".mot", ".sto"), "force_plates"),
     ((".osim",), "body_model"),

@@ -9,7 +9,7 @@ from gonio.pipeline.capture import read_capture, read_rig
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.dynamics import find_joint_torques, moment_curves
-from gonio.pipeline.forces import find_forces
+from gonio.pipeline.forces import choose_coefficients, find_forces
 from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
@@ -27,7 +27,8 @@ def analyse(
 
     Args:
         capture_files: The videos (or the keypoints that another program found in them) and the calibration; the table of
-            foot pressure with its card, the force plates; the lab's own body model and its marker set: each if there is one.
+            foot pressure with its card, the force plates, the lab's own coefficients of the shear; the lab's own body model
+            and its marker set: each if there is one.
         parameters: What the request chose (:class:`gonio.pipeline.params.Parameters`).
         runner: Runs the stages; keeps what they give, where that is its job.
         output_dir: Where the report's files go.
@@ -38,6 +39,7 @@ def analyse(
         ResourceError: Weights are missing.
     """
     chosen = with_file_defaults(parse_parameters(parameters), parameters, capture_files)
+    coefficients = choose_coefficients(capture_files)
     output_dir.mkdir(parents=True, exist_ok=True)
 
     rig = runner("calibration", lambda _: read_rig(capture_files))
@@ -53,8 +55,8 @@ def analyse(
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
     measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
-    forces = runner("forces", lambda _: find_forces(motion, measured, chosen))
-    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen))
+    forces = runner("forces", lambda _: find_forces(motion, measured, chosen, coefficients))
+    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen, coefficients))
     moments = moment_curves(motion, torques)
     gait = runner("gait", lambda _: analyse_gait(motion, points.timebase, measured, moments))
 
@@ -70,6 +72,7 @@ def analyse(
         body=body,
         motion=motion,
         measured=measured,
+        coefficients=coefficients,
         forces=forces,
         torques=torques,
         gait=gait,

@@ -16,7 +16,7 @@ from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.dynamics.recursive import solve_dynamics
 from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
 from gonio.kernel.forces.plates import assign_plates
-from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock
+from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock, is_idle, lacking_share
 from gonio.kernel.virtual_lab.feet import mark_soles
 from gonio.pipeline.body import only_file
 from gonio.pipeline.findings import finding
@@ -40,6 +40,9 @@ LATE_S = 0.020
 GAIN_RANGE = (0.85, 1.15)
 NOT_ZERO_SHARE = 0.03
 LOW_RATE_HZ = 15.0
+
+LARGEST_LACK = 0.1
+"""A silent sole in whose trial the other one carries too little for a larger share of the time is dead, or was not worn."""
 
 
 @record
@@ -116,8 +119,11 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
         return Outcome(replace(nothing, plates=plates), tuple(findings))
     try:
         given = _above_mat(sensors, sensors.stream, course, 0.0)
-        clock = find_clock(in_newtons(given, course.weight_n).pressure, course, parameters.forces.search_s)
-        offset_s, said = _judge_clock(clock, parameters)
+        first = in_newtons(given, course.weight_n).pressure
+        clock = find_clock(first, course, parameters.forces.search_s)
+        offset_s, said = _judge_clock(clock, first, course, parameters)
+        if silent := _silent_sole(first, course, np.nan_to_num(offset_s)):
+            return Outcome(Measured(pressure=None, clock=clock, plates=plates), (*findings, silent))
         given = _above_mat(sensors, given, course, offset_s)
     except InputError as error:  # the mat's two halves were right, but not what the feet left on it
         findings.append(finding("pressure-not-synchronized", where=error.message.rstrip(".")))
@@ -170,7 +176,18 @@ def in_newtons(stream: PressureStream, weight_n: float) -> PressureStream:
     return replace(stream, pressure=replace(stream.pressure, vertical_n=scaled), in_newtons=True)
 
 
-def _judge_clock(clock: PressureClock, parameters: Parameters) -> tuple[float, tuple[Finding, ...]]:
+def _silent_sole(pressure: FootPressure, course: BodyCourse, offset_s: float) -> Finding | None:
+    """Say that a sole without any load is not one of a foot in the air: the other foot does not carry the body alone."""
+    silent = [side for foot, side in enumerate(FEET) if not np.nan_to_num(pressure.vertical_n[:, foot]).any()]
+    lack = lacking_share(replace(pressure, times_s=pressure.times_s - offset_s), course)
+    if not silent or lack <= LARGEST_LACK:
+        return None
+    return finding("pressure-foot-silent", where=" and ".join(silent), value=100 * lack)
+
+
+def _judge_clock(
+    clock: PressureClock, pressure: FootPressure, course: BodyCourse, parameters: Parameters
+) -> tuple[float, tuple[Finding, ...]]:
     """Give the offset that is taken out, NaN where the stream is not used, and what is to be said of it."""
     if clock.swapped:
         return np.nan, (finding("pressure-feet-swapped"),)
@@ -180,6 +197,8 @@ def _judge_clock(clock: PressureClock, parameters: Parameters) -> tuple[float, t
             return 0.0, (finding("pressure-hardware-unconfirmed", where=clock.refused),)
         late = abs(clock.offset_s) > max(LATE_S, 3 * clock.sd_s)
         return 0.0, (finding("pressure-hardware-late", value=1e3 * clock.offset_s),) if late else ()
+    if clock.refused and is_idle(pressure, course, parameters.forces.search_s):
+        return 0.0, (finding("pressure-clock-idle"),)
     if clock.refused:
         return np.nan, (finding("pressure-not-synchronized", where=clock.refused),)
     said = [finding("pressure-synchronized", where=witnesses, value=1e3 * clock.offset_s)]

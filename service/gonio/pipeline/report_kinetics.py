@@ -7,6 +7,26 @@ from pydantic import Field
 from gonio.pipeline.report_base import ReportModel, Series, Side
 
 
+class PressureReport(ReportModel):
+    """The clock of the pressure soles against the video's."""
+
+    used: Annotated[bool, Field(description="Whether the stream was used; if not, a finding says why.")]
+    offset_ms: Annotated[
+        float | None, Field(description="How far the soles' clock runs ahead, from both kinds of evidence.")
+    ]
+    offset_sd_ms: Annotated[float | None, Field(description="Standard deviation of the offset.")]
+    force_offset_ms: Annotated[
+        float | None, Field(description="The offset by force alone: both feet carry what the movement needs.")
+    ]
+    force_offset_sd_ms: float | None
+    contact_offset_ms: Annotated[
+        float | None, Field(description="The offset by contact alone: loads begin and end with the feet's steps.")
+    ]
+    contact_offset_sd_ms: float | None
+    contacts: Annotated[int, Field(description="Beginnings and ends of loads that steps in the video correspond to.")]
+    refused: Annotated[str, Field(description="Why there is no offset; empty if there is one.")]
+
+
 class FootForce(ReportModel):
     """What the ground does to one foot over time, at the report's times, in the lab; null where it is not known."""
 
@@ -41,6 +61,10 @@ class Kinetics(ReportModel):
     expected_error_nm_kg: Annotated[
         float | None,
         Field(description="Error of the knee's torque in people on force plates, with perfect soles and movement."),
+    ]
+    coefficients_source: Annotated[
+        str,
+        Field(description="Where the numbers by which shear was found come from; a lab's own are among the inputs."),
     ]
     speed_m_s: float | None
     stance_s: float | None

@@ -12,9 +12,9 @@ from pydantic import Field
 
 from gonio.pipeline.report_base import Level, ReportModel, Series, Severity, Side
 from gonio.pipeline.report_gait import GaitReportSection
-from gonio.pipeline.report_kinetics import Kinetics
+from gonio.pipeline.report_kinetics import Kinetics, PressureReport
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 
 
 class Verdict(ReportModel):
@@ -181,7 +181,7 @@ class Provenance(ReportModel):
 class GaitReport(ReportModel):
     """A gait report."""
 
-    schema_version: Literal["1.2"] = SCHEMA_VERSION
+    schema_version: Literal["1.3"] = SCHEMA_VERSION
     created: datetime
     verdict: Verdict
     findings: list[ReportFinding]
@@ -193,6 +193,7 @@ class GaitReport(ReportModel):
     time_s: list[float]
     angles: list[Angle]
     gait: GaitReportSection
+    pressure: PressureReport | None
     kinetics: Kinetics | None
     provenance: Provenance
 

@@ -19,10 +19,19 @@ T = TypeVar("T")
 SessionKind = Literal["human_multicamera", "calibration"]
 
 TrialRole = Literal[
-    "video", "keypoints", "calibration", "body_model", "marker_set", "pressure", "pressure_card", "force_plates"
+    "video",
+    "keypoints",
+    "calibration",
+    "body_model",
+    "marker_set",
+    "pressure",
+    "pressure_card",
+    "force_plates",
+    "force_coefficients",
 ]
 """``keypoints`` are one camera's, as another program found them (OpenPose's files in a ZIP archive). ``pressure`` is a table of
-foot pressure, ``pressure_card`` says what its columns mean; ``force_plates`` is C3D or MOT."""
+foot pressure, ``pressure_card`` says what its columns mean; ``force_plates`` is C3D or MOT; ``force_coefficients`` are a lab's
+own numbers of the shear."""
 
 CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_points", "previous"]
 """``sweep``: all cameras film the board at the same time. ``lens``: one camera films it alone, close. ``floor``: it lies on

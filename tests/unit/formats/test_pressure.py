@@ -177,7 +177,7 @@ def test_a_clock_may_start_anywhere(write):
 
 
 def one_foot(table):
-    return table.assign(left_force_n=0.0)
+    return table.assign(left_force_n=7.0)
 
 
 def lost_foot(table):
@@ -231,7 +231,7 @@ def untimed(table):
 @pytest.mark.parametrize(
     ("spoil", "code", "message"),
     [
-        (one_foot, "pressure-one-foot", "left foot always shows 0"),
+        (one_foot, "pressure-one-foot", "left foot always shows 7"),
         (lost_foot, "pressure-one-foot", "right foot has no value"),
         (negative, "pressure-negative", "are negative, down to -699"),
         (too_light, "pressure-unit", r"that is 3\.1 kg"),

@@ -7,14 +7,17 @@ import pandas as pd
 import pytest
 
 from gonio.errors import InputError
+from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.formats.osim import read_osim
 from gonio.formats.pressure_csv import write_pressure
 from gonio.kernel.virtual_lab import SOLES, grow, press, truth_at, walk
+from gonio.pipeline.dynamics import find_joint_torques
+from gonio.pipeline.forces import find_forces
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.params import ForceParameters, Parameters, Subject
 from gonio.pipeline.pressure import Sensors, measure_forces, read_sensors
 from gonio.pipeline.run import CaptureFile
-from gonio.records import ForcePlates, Motion
+from gonio.records import FootPressure, ForcePlates, Motion
 from gonio.resources import models_dir
 
 DURATION_S = 2.5
@@ -122,6 +125,54 @@ def test_another_trials_stream_is_not_used(walker, motion, sensors):
     outcome = measure_forces(sensors(other), motion, CHOSEN)
     assert outcome.value.pressure is None
     assert said(outcome)["pressure-not-synchronized"].severity == "serious"
+
+
+def stand(walker, body_sway=0.0):
+    """Stand on the right leg, the left knee bent."""
+    model, times_s = walker.body, np.arange(0, DURATION_S, 1 / 60)
+    q = np.tile(model.coordinates.default, (len(times_s), 1))
+    q[:, [model.coordinates.names.index(name) for name in ("hip_flexion_l", "knee_angle_l")]] = 0.5, 1.2
+    q += body_sway * np.sin(2 * np.pi * 0.7 * times_s)[:, None] * model.coordinates.rotational
+    found = motion_of(walker, times_s)
+    moved = replace(found.motion, values=q)
+    return replace(found, motion=moved, two_step=moved)
+
+
+def one_sole(times_s, force_n):
+    place_m = np.full((len(times_s), 2, 2), np.nan)
+    place_m[:, 0] = 0.12, 0.0
+    return FootPressure(times_s=times_s, vertical_n=np.stack([force_n, 0 * force_n], axis=1), cop_foot_m=place_m)
+
+
+def test_standing_on_one_leg_is_measured(walker, sensors):
+    times_s = np.arange(-0.5, DURATION_S + 0.5, 0.05)
+    outcome = measure_forces(sensors(one_sole(times_s, 70 * 9.80665 + np.sin(9 * times_s))), stand(walker), CHOSEN)
+    assert set(said(outcome)) == {"pressure-clock-idle"}
+    assert outcome.value.pressure is not None
+    forces = find_forces(stand(walker), outcome.value, CHOSEN, builtin_force_coefficients())
+    assert {f.code for f in forces.findings} == {"forces-method", "forces-gain", "forces-one-foot"}
+    torques = find_joint_torques(stand(walker), outcome.value, forces.value, CHOSEN, builtin_force_coefficients()).value
+    assert np.isfinite(torques.values).all()
+    # The weight is on the right sole: a newton of what the sole shows, and what filters do to it, is left over.
+    assert np.abs(torques.residual[10:-10, 1]).max() < 5.0
+
+
+def test_a_stream_that_moves_is_not_idle(walker, sensors):
+    """Loads come and go while the body stands: it is another trial's."""
+    times_s = np.arange(-0.5, DURATION_S + 0.5, 0.05)
+    force_n = 70 * 9.80665 * (1 + 0.3 * np.sin(5 * times_s))
+    outcome = measure_forces(sensors(one_sole(times_s, force_n)), stand(walker), CHOSEN)
+    assert outcome.value.pressure is None
+    assert set(said(outcome)) == {"pressure-not-synchronized"}
+
+
+def test_a_silent_sole_of_a_walk_is_not_a_foot_in_the_air(walker, motion, sensors):
+    pressure = soles(walker)
+    one = replace(pressure, vertical_n=pressure.vertical_n * [1.0, 0.0])
+    for chosen in (CHOSEN, HARDWARE):
+        outcome = measure_forces(sensors(one), motion, chosen)
+        assert outcome.value.pressure is None
+        assert said(outcome)["pressure-foot-silent"].where == "left"
 
 
 COUNTS = """

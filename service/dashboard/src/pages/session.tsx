@@ -13,6 +13,7 @@ const ROLES: Record<string, string> = {
   pressure: "foot pressure",
   pressure_card: "card of the foot pressure",
   force_plates: "force plates",
+  force_coefficients: "coefficients of the forces",
   body_model: "body model",
   marker_set: "marker set",
   sweep: "sweep of the board",

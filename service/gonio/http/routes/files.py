@@ -45,6 +45,7 @@ ACCEPTING = (
     "pressure-negative",
     "pressure-unit",
     "pressure-cop",
+    "force-coefficients-invalid",
     "capture-file-unreadable",
     "plates-missing",
     "file-exists",

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
 
 from gonio.kernel.smoothing.filters import low_pass, runs
@@ -41,6 +42,9 @@ LEAST_EXPLAINED = 0.3
 """Share of the need's variance that the soles' force must explain to be a witness, or without steps alone."""
 LEAST_EXPLAINED_ALONE = 0.6
 
+LACKING_BW = 0.4
+"""Soles that carry so much less than the movement needs miss a foot, or somebody sits."""
+
 LOADED = 0.1
 """Share of the body's weight above which a foot is taken as loaded."""
 
@@ -59,6 +63,10 @@ FEWEST_EVENTS = 3
 LARGEST_SCATTER_S = 0.030
 LARGEST_DRIFT_SD, LARGEST_DRIFT = 3.0, 0.005
 """Events that scatter more, or that come later and later (standard deviations; seconds a second), are another walk's."""
+
+STILL_BW, STILL_M, STILL_M_S = 0.10, 0.02, 0.15
+"""Loads and their places that change by less within the searched time, and a body whose centre of mass and heels move slower,
+are the same whatever the clock: most of the time, see :func:`is_idle`."""
 
 LARGEST_SD_S = 0.025
 """A worse offset costs more torque than pressure gives."""
@@ -157,6 +165,38 @@ def _put_together(force: Witness, contact: Witness, search_s: float) -> tuple[fl
     if abs(offset_s) > search_s - 2 * sd_s:
         return np.nan, np.nan, f"its offset may be more than the {1e3 * search_s:.0f} ms that are searched"
     return offset_s, sd_s, ""
+
+
+def is_idle(pressure: FootPressure, body: BodyCourse, search_s: float = SEARCH_S) -> bool:
+    """Say whether somebody stands so still that nothing depends on the clock, and that the soles carry the body's weight."""
+    inside = (pressure.times_s > body.times_s[0] - search_s) & (pressure.times_s < body.times_s[-1] + search_s)
+    times_s, force_n = pressure.times_s[inside], pressure.vertical_n[inside]
+    if len(times_s) < 5 or not 0.7 < np.nan_to_num(np.nanmean(force_n.sum(axis=1))) / body.weight_n < 1.3:
+        return False
+    place_m = pressure.cop_foot_m[inside].reshape(len(times_s), -1)
+    place_m = np.where(np.repeat(force_n > LOADED * body.weight_n, 2, axis=1), place_m, np.nan)
+    width = max(round(2 * search_s / float(np.median(np.diff(times_s)))), 2)
+    for values, most in ((force_n, STILL_BW * body.weight_n), (place_m, STILL_M)):
+        windows = sliding_window_view(values, min(width, len(values)), axis=0)
+        known = np.isfinite(windows).any(axis=-1)
+        ranges = np.fmax.reduce(windows, axis=-1) - np.fmin.reduce(windows, axis=-1)
+        if known.any() and np.percentile(ranges[known], 95) > most:
+            return False
+    for path_m in (body.com_lab_m, body.heel_lab_m[:, 0], body.heel_lab_m[:, 1]):
+        speed_m_s = np.linalg.norm(np.gradient(path_m, body.times_s, axis=0), axis=-1)
+        if not np.nanpercentile(speed_m_s, 95) < STILL_M_S:
+            return False
+    return True
+
+
+def lacking_share(pressure: FootPressure, body: BodyCourse) -> float:
+    """Give in which share of the frames both soles carry much less than the movement needs: something else carries it."""
+    known = np.isfinite(pressure.vertical_n).all(axis=1)
+    frames = np.isfinite(body.need_n)
+    if known.sum() < 2 or not frames.any():
+        return 0.0
+    total_n = np.interp(body.times_s[frames], pressure.times_s[known], pressure.vertical_n[known].sum(axis=1))
+    return float((body.need_n[frames] - total_n > LACKING_BW * body.weight_n).mean())
 
 
 def force_witness(pressure: FootPressure, body: BodyCourse, search_s: float) -> Witness:
