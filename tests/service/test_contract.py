@@ -33,7 +33,7 @@ def as_it_is(_context: object, value: object) -> bytes:
 @pytest.mark.parametrize("with_key", [True, False], ids=["key", "no key"])
 @API.parametrize()
 @settings(
-    max_examples=8,
+    max_examples=4,
     derandomize=True,
     deadline=None,
     database=None,

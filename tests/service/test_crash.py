@@ -1,73 +1,11 @@
-"""Processes are killed in the middle of their work; nothing that was promised is lost, and nothing is done twice."""
+"""What a poison job and cut forms leave behind; kills at random moments are in ``test_rehearsal.py``."""
 
-import os
-import signal
 import socket
 import time
 
 import pytest
 
 from gonio.errors import GonioError
-
-
-def count_of(lines: list[str]) -> dict[str, int]:
-    return {line: lines.count(line) for line in lines}
-
-
-@pytest.mark.slow
-def test_a_job_survives_the_kill_of_its_worker_and_repeats_no_finished_stage(start_lab, start_worker, capture, journal):
-    lab = start_lab(workers=0)
-    session = lab.complete_session(capture, subject={"mass_kg": 70.0})
-    undisturbed = journal.path.with_name("undisturbed")
-    undisturbed.touch()
-    first = start_worker(lab.settings)
-    other = lab.client.analyse(session, {"journal": str(undisturbed)})["id"]
-    lab.client.wait(other, timeout_s=20)
-
-    job = lab.client.analyse(session, journal.parameters(seconds=1.0))["id"]
-    journal.wait_for("begin dynamics")
-    second = start_worker(lab.settings)
-    time.sleep(0.2)
-    os.kill(first.pid, signal.SIGKILL)
-    lab.client.wait(job, timeout_s=30)
-    assert journal.worker_pid() == second.pid
-    assert count_of(journal.lines()) == {
-        "begin capture": 1,
-        "end capture": 1,
-        "begin keypoints": 1,
-        "end keypoints": 1,
-        "begin dynamics": 2,  # the stage that the crash fell into
-        "end dynamics": 1,
-        "begin report": 1,
-        "end report": 1,
-    }
-    assert lab.client.report(job) == lab.client.report(other)
-    assert len(list((lab.settings.cache_dir / "work").iterdir())) == 1  # the dead worker's was removed
-
-
-@pytest.mark.slow
-def test_supervised_workers_and_the_api_are_killed_and_the_job_ends_after_a_restart(start_lab, capture, journal):
-    lab = start_lab(workers=1)
-    session = lab.complete_session(capture)
-    job = lab.client.analyse(session, journal.parameters(seconds=1.0))["id"]
-    journal.wait_for("begin keypoints")
-    os.kill(journal.worker_pid(), signal.SIGKILL)  # the supervisor starts another one
-    journal.wait_for("begin dynamics", timeout_s=20)
-    worker = journal.worker_pid()
-    lab.process.kill()  # and with the supervisor its worker dies: the kernel sees to it
-    lab.process.wait()
-    deadline_s = time.monotonic() + 2
-    while os.path.exists(f"/proc/{worker}"):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-
-    lab = start_lab(workers=1)
-    ended = lab.client.wait(job, timeout_s=30)
-    assert ended["report"] == f"/v1/reports/{job}"
-    lines = count_of(journal.lines())
-    assert (lines["begin keypoints"], lines["end keypoints"]) == (2, 1)
-    assert (lines["begin dynamics"], lines["end dynamics"]) == (2, 1)
-    assert lines["begin capture"] == lines["begin report"] == 1
 
 
 @pytest.mark.slow
