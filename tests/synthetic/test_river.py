@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lxml import html
 
+from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.formats.mot import read_mot
 from gonio.formats.osim import read_osim
 from gonio.formats.trc import read_trc
@@ -130,6 +131,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         body=body,
         motion=motion,
         measured=NOTHING,
+        coefficients=builtin_force_coefficients(),
         forces=None,
         torques=None,
         gait=cycles,

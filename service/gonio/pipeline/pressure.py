@@ -122,7 +122,8 @@ def measure_forces(
     findings: list[Finding] = []
     plates = None
     if sensors.plates is not None and course is not None:
-        plates = assign_plates(turn_plates(sensors.plates, R_lab_calibrated), course.times_s, course.heel_lab_m, course.toe_lab_m)
+        turned = turn_plates(sensors.plates, R_lab_calibrated)
+        plates = assign_plates(turned, course.times_s, course.heel_lab_m, course.toe_lab_m)
         findings += judge_plates(plates)
     if sensors.stream is None:
         return Outcome(replace(nothing, plates=plates), tuple(findings))
