@@ -5,9 +5,11 @@ from pathlib import Path
 
 from gonio.formats.articulated import articulated_schema
 from gonio.formats.calibration_json import calibration_schema
+from gonio.http.app import create_app
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.pipeline.findings import KINDS
 from gonio.pipeline.report_schema import report_schema
+from gonio.settings import Settings
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -57,6 +59,7 @@ def pages() -> dict[Path, str]:
         REFERENCE / "calibration-verdict.md": verdict_page(),
         REFERENCE / "articulated.schema.json": json.dumps(articulated_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
+        REFERENCE / "openapi.json": json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "report.schema.json": json.dumps(report_schema(), indent=2, ensure_ascii=False) + "\n",
     }
 

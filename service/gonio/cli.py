@@ -60,21 +60,25 @@ def serve(
 ) -> None:
     """Start the service and its workers; Ctrl-C stops all of them."""
     from gonio.http.server import serve as run
+    from gonio.jobs.logs import set_up_logging
     from gonio.settings import Settings
 
     given = {"host": host, "port": port, "workers": workers, "data_dir": data_dir}
     settings = Settings().model_copy(update={name: value for name, value in given.items() if value is not None})
+    set_up_logging(settings)
     run(settings, on_ready=lambda url: console.print(f"gonio listens on {url} (API reference: {url}/docs)"))
 
 
 @app.command()
 def worker() -> None:
-    """Join the service as one more worker, from this or another machine."""
-    from gonio.jobs.worker import run_worker
-    from gonio.pipeline.rivers import RIVERS
+    """Join the service with GONIO_WORKERS more workers, from this or another machine; Ctrl-C stops them."""
+    from gonio.jobs.logs import set_up_logging
+    from gonio.jobs.supervisor import supervise
     from gonio.settings import Settings
 
-    run_worker(Settings(), RIVERS)
+    settings = Settings()
+    set_up_logging(settings)
+    supervise(settings)
 
 
 @app.command()

@@ -13,6 +13,7 @@ It imports nothing of gonio but its errors: an answer that is a problem becomes 
 the problem's code, message and hint, and with its ``status`` and other members in ``details``.
 """
 
+import base64
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
@@ -33,6 +34,14 @@ Role = Literal[
     "sweep", "lens", "floor", "board", "optics", "floor_points", "previous",
 ]  # fmt: skip
 """What a file is: the first nine in a session of a person, the others in a session of kind ``calibration``."""
+
+RESUMABLE_BYTES = 8_000_000
+"""From this size on, an upload can be gone on with after a cut; a smaller one is simply sent again."""
+
+MOST_CUTS = 10
+"""After how many cuts in a row, with nothing added in between, an upload is given up: about half a minute."""
+
+_TUS = {"Tus-Resumable": "1.0.0"}
 
 FINAL_STATES = ("succeeded", "failed", "cancelled")
 
@@ -118,16 +127,63 @@ class Client:
         name: str | None = None,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> Document:
-        """Upload a file without reading it into memory; ``on_progress`` hears the bytes sent so far and in all."""
+        """Upload a file without reading it into memory; ``on_progress`` hears the bytes sent so far and in all.
+
+        A large one is gone on with after a cut, also when the service was started anew in between.
+        """
         fields = {"role": role, "camera": camera}
+        told = {key: value for key, value in fields.items() if value is not None}
+        size = path.stat().st_size
         with path.open("rb") as file:
-            source = _Counted(file, path.stat().st_size, on_progress) if on_progress else file
+            source = cast("IO[bytes]", _Counted(file, size, on_progress) if on_progress else file)
+            if size >= RESUMABLE_BYTES:
+                return self._upload_in_pieces(session_id, source, size, {"filename": name or path.name, **told})
             return self._json(
                 "POST",
                 f"/v1/sessions/{session_id}/files",
-                data={key: value for key, value in fields.items() if value is not None},
-                files={"file": (name or path.name, cast("IO[bytes]", source), "application/octet-stream")},
+                data=told,
+                files={"file": (name or path.name, source, "application/octet-stream")},
             )
+
+    def _upload_in_pieces(self, session_id: str, file: IO[bytes], size: int, told: dict[str, str]) -> Document:
+        """Upload by tus 1.0: one request, and after each cut another one from where the service stands."""
+        metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in told.items())
+        made = self._request(
+            "POST",
+            f"/v1/sessions/{session_id}/uploads",
+            headers={**_TUS, "Upload-Length": str(size), "Upload-Metadata": metadata},
+        )
+        url, offset, cuts_in_a_row = made.headers["Location"], 0, 0
+        while True:
+            try:
+                if cuts_in_a_row:
+                    time.sleep(min(0.1 * 2**cuts_in_a_row, 5.0))
+                    answer = self._request("HEAD", url, headers=_TUS)
+                    cuts_in_a_row = 1 if int(answer.headers["Upload-Offset"]) > offset else cuts_in_a_row
+                    offset = int(answer.headers["Upload-Offset"])
+                    if "Content-Location" in answer.headers:
+                        break
+                file.seek(offset)
+                answer = self._request(
+                    "PATCH",
+                    url,
+                    content=_read_on(file),
+                    headers={
+                        **_TUS,
+                        "Upload-Offset": str(offset),
+                        "Content-Type": "application/offset+octet-stream",
+                        "Content-Length": str(size - offset),
+                    },
+                )
+                break
+            except GonioError as error:
+                # A cut, a service that starts anew, or the lock of the request that was cut: all of them pass.
+                passes = isinstance(error, ResourceError) and error.code != "disk-full"
+                cuts_in_a_row += 1
+                if cuts_in_a_row > MOST_CUTS or not (passes or error.details.get("status") == 423):
+                    raise
+        place = answer.headers["Content-Location"]
+        return next(each for each in self.files(session_id) if each["content"] == place)
 
     def files(self, session_id: str) -> list[Document]:
         """List a session's files."""
@@ -295,6 +351,11 @@ class _Counted:
 
     def seekable(self) -> bool:
         return True
+
+
+def _read_on(file: IO[bytes]) -> Iterator[bytes]:
+    while chunk := file.read(1 << 16):
+        yield chunk
 
 
 def _raise_for_problem(response: httpx.Response) -> None:

@@ -25,18 +25,43 @@ class Settings(BaseSettings):
         default_factory=lambda: platformdirs.user_cache_path("gonio"),
         description="The folder for what can be made again: model weights and work in progress.",
     )
-    database_url: str = Field(default="", description="An SQLAlchemy URL; without one, a SQLite file in data_dir.")
+    database_url: str = Field(
+        default="", description="postgresql://USER:PASSWORD@HOST/NAME; without it, a SQLite file in data_dir."
+    )
     objects_url: str = Field(
         default="", description="Where files and results are kept, as a URL; without one, a folder in data_dir."
     )
     host: str = Field(default="127.0.0.1", description="The address on which the service listens.")
     port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8000, description="The port; 0 takes a free one.")
     workers: Annotated[int, Field(ge=0)] = Field(default=1, description="How many worker processes `gonio serve` runs.")
+    stage_silence_s: float = Field(
+        default=1800.0, description="A worker of whose stage nothing was heard for so long ends; another one goes on."
+    )
     max_json_bytes: int = Field(default=MEGABYTE, description="The largest body of a request that carries no file.")
     max_upload_bytes: int = Field(default=20 * GIGABYTE, description="The largest file that is accepted.")
     free_disk_floor: int = Field(
         default=2 * GIGABYTE, description="Uploads are refused when they would leave fewer free bytes on the disk."
     )
+    upload_hours: float = Field(
+        default=24.0, gt=0, description="An upload that was cut is removed when nothing was added to it for so long."
+    )
+    requests_per_minute: int = Field(
+        default=6000,
+        ge=0,
+        description="How many requests each key may send a minute to each API process; 0: any number.",
+    )
+    jobs_per_lab: int = Field(default=200, ge=1, description="How many jobs of a lab may wait or run at once.")
+    lab_quota_bytes: int = Field(
+        default=0, ge=0, description="How much each lab may upload, sessions that it deleted not counted; 0: no limit."
+    )
+    retention_days: float = Field(
+        default=0, ge=0, description="Sessions are deleted so long after they were last worked on; 0: never."
+    )
+    log_format: Literal["text", "json"] = Field(default="text", description="How the log is written.")
+    private_webhooks: bool = Field(
+        default=False, description="Whether webhooks may lead into the service's own network, and over plain HTTP."
+    )
+    metrics_key: str = Field(default="", description="The key with which Prometheus reads /metrics.")
     keys: Literal["auto", "required"] = Field(
         default="auto",
         description="`auto`: no key is needed on this machine itself while the service listens there only, keeps its data "

@@ -14,7 +14,9 @@ import httpx
 import numpy as np
 import pytest
 
+from gonio.bench import servers
 from gonio.client import Client
+from gonio.jobs.access import SCOPES, opened
 from gonio.settings import Settings
 
 HERE = Path(__file__).parent
@@ -55,8 +57,14 @@ class Lab:
         self.settings = settings
         self.process = process
         self.log = log
-        self.client = Client(url)
-        self.http = httpx.Client(base_url=url, trust_env=False, timeout=30)
+        key = "" if settings.is_embedded and settings.keys == "auto" else self.make_key()
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        self.client = Client(url, key=key)
+        self.http = httpx.Client(base_url=url, trust_env=False, timeout=30, headers=headers)
+
+    def make_key(self) -> str:
+        with opened(self.settings) as access:
+            return access.create_key(self.settings.default_lab, "test", SCOPES).secret
 
     def complete_session(self, capture: Path, *, subject: dict[str, float] | None = None) -> str:
         session = self.client.create_session(name="walk", subject=subject)["id"]
@@ -84,7 +92,7 @@ def running_lab(settings: Settings, folder: Path) -> Iterator[Lab]:
 
 
 def make_settings(folder: Path, **values: Any) -> Settings:
-    defaults = {"port": 0, "free_disk_floor": 0, "max_upload_bytes": 3_000_000}
+    defaults = {"port": 0, "free_disk_floor": 0, "max_upload_bytes": 3_000_000, "private_webhooks": True}
     return Settings(**{"data_dir": folder / "data", "cache_dir": folder / "cache", **defaults, **values})
 
 
@@ -119,6 +127,20 @@ def start_lab(tmp_path) -> Iterator[Callable[..., Lab]]:
 def start_worker(tmp_path) -> Iterator[Callable[[Settings], subprocess.Popen[str]]]:
     with ExitStack() as stack:
         yield lambda settings: stack.enter_context(running(WORKER, settings, tmp_path / "worker.log"))
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[servers.Postgres]:
+    """A PostgreSQL server; each test makes a database of its own. Its tests carry the mark xdist_group("servers")."""
+    with servers.postgres() as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def bucket() -> Iterator[servers.Bucket]:
+    """An S3 server; each test takes a prefix of its own."""
+    with servers.bucket() as server:
+        yield server
 
 
 @pytest.fixture(scope="session")

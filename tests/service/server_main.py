@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from gonio.http.server import serve
+from gonio.jobs.logs import set_up_logging
 from gonio.settings import Settings
 
 WORKER = (sys.executable, str(Path(__file__).with_name("worker_main.py")))
@@ -15,4 +16,5 @@ def say(url: str) -> None:
 
 
 if __name__ == "__main__":
+    set_up_logging(Settings())
     serve(Settings(), on_ready=say, worker_command=WORKER)

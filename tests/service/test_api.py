@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from uuid import uuid4
 
 import pytest
@@ -277,6 +278,11 @@ def test_pages_for_people_load_nothing_from_elsewhere_and_run_nothing(lab, captu
             assert lab.http.get(link).status_code == 200, link
     reference = lab.http.get("/docs").text
     assert all(path in reference for path in lab.http.get("/openapi.json").json()["paths"])
+
+
+def test_the_committed_openapi_document_is_that_of_the_code(lab):
+    committed = Path(__file__).parents[2] / "docs" / "reference" / "openapi.json"
+    assert json.loads(committed.read_text()) == lab.http.get("/openapi.json").json(), "run `make reference`"
 
 
 def test_the_openapi_document_is_complete(lab):

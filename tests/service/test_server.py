@@ -60,8 +60,17 @@ def test_a_taken_port_is_a_clear_error(tmp_path):
 
 
 def test_an_unsupported_database_is_a_clear_error_that_hides_the_password(tmp_path):
-    settings = Settings(data_dir=tmp_path, port=0, database_url="postgresql://gonio:hunter2@db/gonio")
+    settings = Settings(data_dir=tmp_path, port=0, database_url="mysql://gonio:hunter2@db/gonio")
     with pytest.raises(GonioError) as caught:
         serve(settings)
     assert caught.value.code == "database-unsupported"
     assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["postgresql://gonio:hunter2@127.0.0.1:9/gonio", "sqlite:////nowhere/gonio.db"])
+def test_a_database_out_of_reach_is_a_clear_error_that_hides_the_password(tmp_path, url):
+    with pytest.raises(ResourceError) as caught:
+        serve(Settings(data_dir=tmp_path, port=0, database_url=url))
+    assert caught.value.code == "database-unreachable"
+    assert "hunter2" not in str(caught.value)
+    assert len(caught.value.message) > 40  # it says why

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gonio.errors import CaptureError
+from gonio.jobs.logs import set_up_logging
 from gonio.jobs.worker import run_worker
 from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
 from gonio.pipeline.run import CaptureFile, Outcome, Progress, ReportFiles, River, StageRunner
@@ -118,6 +119,7 @@ def analyse(
 
 
 if __name__ == "__main__":
+    set_up_logging(Settings())
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
     rivers = {"human_multicamera": River(analyse, SHARES), "calibration": River(calibrate, CALIBRATION_SHARES)}
     run_worker(Settings(), rivers, supervisor_pid=int(supervisor) if supervisor else None)

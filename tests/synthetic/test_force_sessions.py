@@ -22,6 +22,7 @@ from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import CaptureFile, LocalRunner
 from gonio.records import FootPressure, VirtualTrial
+from gonio.resources import models_dir
 
 OF_FORCES = {"sensors", "pressure", "forces", "dynamics", "gait", "report"}
 """The stages that depend on soles and plates; the others are run once."""
@@ -233,3 +234,15 @@ def test_negative_pressure_stops_before_the_work(report_of, soles):
     with pytest.raises(InputError) as raised:
         report_of(soles(lambda p: replace(p, vertical_n=-p.vertical_n)))
     assert raised.value.code == "pressure-negative"
+
+
+def test_a_lab_may_bring_its_own_coefficients(report_of, soles, tmp_path):
+    own = tmp_path / "ours.forces.toml"
+    theirs = (models_dir() / "forces" / "default.toml").read_text()
+    own.write_text(theirs.replace('source = "Plate', 'source = "Our lab. Plate'))
+    file = CaptureFile(path=own, name=own.name, role="force_coefficients")
+    report = report_of(soles(), file, forces={"method": "pivot"})
+    assert report.kinetics is not None
+    assert report.kinetics.coefficients_source.startswith("Our lab. ")
+    assert report.kinetics.asked == "pivot"
+    assert ("ours.forces.toml", "force_coefficients") in {(f.name, f.role) for f in report.provenance.inputs}

@@ -21,7 +21,16 @@ from rich.console import Console
 from gonio.errors import GonioError, InputError
 
 PACKAGES = ("gonio", "numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless")
-NOT_BENCHES = {"__init__", "peers", "recordings", "board_sessions", "board_faults"}
+NOT_BENCHES = {
+    "__init__",
+    "peers",
+    "recordings",
+    "board_sessions",
+    "board_faults",
+    "servers",
+    "service_house",
+    "service_load",
+}
 
 
 @dataclass(frozen=True)

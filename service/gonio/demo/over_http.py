@@ -3,6 +3,7 @@
 import time
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from gonio.client import Client, Document
 from gonio.http.server import serving
+from gonio.jobs.access import opened
 from gonio.pipeline.report import key_lines, load_report
 from gonio.settings import Settings
 from gonio.terminal import progress_bar, stage_lines
@@ -20,11 +22,19 @@ from gonio.terminal import progress_bar, stage_lines
 def demo_service(output: Path, console: Console) -> Generator[Client]:
     """Run a service that keeps its data below ``output``, and give a client of it."""
     settings = Settings().model_copy(update={"data_dir": output.absolute() / "data", "port": 0})
-    with serving(settings) as url, Client(url) as gonio:
+    with serving(settings) as url, Client(url, key=_key(settings)) as gonio:
         console.print(f"Service: {url} (it stops when the demo ends; `gonio serve` keeps it)", soft_wrap=True)
         while not gonio.is_ready():
             time.sleep(0.1)
         yield gonio
+
+
+def _key(settings: Settings) -> str:
+    """Make a key for the day, where the service wants one: its database or its store is elsewhere."""
+    if settings.is_embedded and settings.keys != "required":
+        return ""
+    with opened(settings) as access:
+        return access.create_key(settings.default_lab, "demo", ("read", "write"), timedelta(days=1)).secret
 
 
 def analyse_over_http(

@@ -7,7 +7,7 @@ from datetime import datetime
 from typing import Annotated
 from uuid import UUID
 
-from fastapi import Depends, Path, Query
+from fastapi import Depends, Path, Query, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBasic, HTTPBasicCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.requests import Request
@@ -39,25 +39,24 @@ KEY_COOKIE = "gonio_key"
 _BASIC = HTTPBasic(auto_error=False, scheme_name="password", description="For browsers: any name, the key as password.")
 
 
-def _caller(
+def _known_caller(
     request: Request,
     service: TheService,
     settings: TheSettings,
     bearer: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)],
     basic: Annotated[HTTPBasicCredentials | None, Depends(_BASIC)],
 ) -> Caller:
-    """Find out who asks, and refuse who may not do what the method does.
+    """Find out who asks.
 
     Raises:
-        InputError: ``key-missing``, ``key-invalid``, ``scope-missing`` or ``foreign-page``.
+        InputError: ``key-missing``, ``key-invalid`` or ``foreign-page``.
     """
-    changes = request.method not in ("GET", "HEAD")
-    if changes:
+    if _changes(request):
         refuse_foreign_pages(request)
     cookie = request.cookies.get(KEY_COOKIE, "")
     key = bearer.credentials if bearer else basic.password if basic else cookie
-    if not key and _needs_no_key(request, service, settings):
-        return Caller(settings.default_lab)
+    if not key and is_at_home(request, service, settings):
+        return _paced(request, Caller(settings.default_lab))
     if not key:
         raise InputError(
             "This service wants a key.",
@@ -69,7 +68,27 @@ def _caller(
         raise InputError(
             "The key is unknown, has expired or was revoked.", hint="Ask your lab for a valid one.", code="key-invalid"
         )
-    return _allowed(caller, "write" if changes else "read")
+    return _paced(request, caller)
+
+
+def _paced(request: Request, caller: Caller) -> Caller:
+    """Refuse who asks too often."""
+    wait_s = request.app.state.pace.wait_s(caller.key_id or caller.lab)
+    if wait_s:
+        raise InputError(
+            "This key sends more requests than the service takes.",
+            hint=f"Wait {wait_s} s. To follow a job, read its events, or ask with `Prefer: wait=30`.",
+            code="too-many-requests",
+            retry_after_s=wait_s,
+        )
+    return caller
+
+
+_KnownCaller = Annotated[Caller, Depends(_known_caller)]
+
+
+def _changes(request: Request) -> bool:
+    return request.method not in ("GET", "HEAD")
 
 
 def refuse_foreign_pages(request: Request) -> None:
@@ -86,7 +105,7 @@ def refuse_foreign_pages(request: Request) -> None:
         )
 
 
-def _needs_no_key(request: Request, service: Service, settings: Settings) -> bool:
+def is_at_home(request: Request, service: Service, settings: Settings) -> bool:
     """Tell whether a request comes from this machine, on its own behalf, to a service that is for it alone.
 
     A proxy's requests come from this machine too, but on behalf of others; and a foreign page can make its own name
@@ -108,8 +127,21 @@ def _allowed(caller: Caller, scope: Scope) -> Caller:
     return caller
 
 
+def _caller(request: Request, caller: _KnownCaller) -> Caller:
+    """Refuse who may not do what the method does."""
+    return _allowed(caller, "write" if _changes(request) else "read")
+
+
 TheCaller = Annotated[Caller, Depends(_caller)]
 """Who asks. Every route that reads or writes anything asks for it, or for the lab alone."""
+
+
+def _writer(caller: _KnownCaller) -> Caller:
+    return _allowed(caller, "write")
+
+
+Writer = Annotated[Caller, Depends(_writer)]
+"""Who asks, for a route that belongs to writing whatever its method is."""
 
 
 def _administrator(caller: TheCaller) -> Caller:
@@ -143,18 +175,25 @@ class PageOf:
 
     def __init__(
         self,
+        request: Request,
+        response: Response,
         limit: Annotated[int, Query(ge=1, le=200, description="How many items a page has.")] = 50,
         cursor: Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before.")] = None,
     ) -> None:
+        self._request = request
+        self._response = response
         self.limit = limit
         self.after = None if cursor is None else _place(cursor)
 
     def next_cursor(self, rows: Sequence[Row]) -> str | None:
-        """Give the cursor of the page after this one, if this one is full."""
+        """Give the cursor of the page after this one, if this one is full, and tell it in the header `Link` too."""
         if len(rows) < self.limit:
             return None
         text = f"{rows[-1].created_at.isoformat()} {rows[-1].id}"
-        return base64.urlsafe_b64encode(text.encode()).decode()
+        cursor = base64.urlsafe_b64encode(text.encode()).decode()
+        url = self._request.url.include_query_params(cursor=cursor)
+        self._response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+        return cursor
 
 
 Page = Annotated[PageOf, Depends()]

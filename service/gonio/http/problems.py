@@ -12,11 +12,14 @@ from uuid import uuid4
 
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from gonio import errors
+from gonio.jobs.database import database_unreachable
 from gonio.jobs.failure import describe
+from gonio.jobs.store import disk_full
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +48,7 @@ KINDS: Mapping[str, Kind] = {
     "unsupported-media-type": Kind(415, "Unsupported media type", "The body has another type than the page takes."),
     "method-not-allowed": Kind(405, "Method not allowed", "This address exists, but not for this method."),
     "range-not-satisfiable": Kind(416, "Range not satisfiable", "The file has no bytes in the range asked for."),
+    "too-many-requests": Kind(429, "Too many requests", "A key sent more than GONIO_REQUESTS_PER_MINUTE."),
     "bad-cursor": Kind(422, "Bad cursor", "`cursor` must be the `next_cursor` of the page before."),
     "not-found": Kind(404, "Not found", "There is nothing under this address, or it belongs to another lab."),
     "http-error": Kind(400, "Request refused", "The request can't be answered; the status says why."),
@@ -56,6 +60,7 @@ KINDS: Mapping[str, Kind] = {
         403, "Scope missing", "The key is valid, but not for this: it lacks `read`, `write` or `admin`."
     ),
     "foreign-page": Kind(403, "Foreign page", "A browser sent the request for a page of another site."),
+    "webhook-address-wrong": Kind(422, "Webhook's address wrong", "It isn't https, unknown, or in a private network."),
     # files
     "bad-file-name": Kind(422, "Bad file name", "A name has at most 255 bytes, no path, no invisible characters."),
     "role-wrong": Kind(422, "Role wrong", "A session of this kind has no files of that role."),
@@ -86,8 +91,18 @@ KINDS: Mapping[str, Kind] = {
     "role-unknown": Kind(422, "Role unknown", "The file's name doesn't tell what it is."),
     "file-missing": Kind(422, "File missing", "The form has no part `file`."),
     "file-exists": Kind(409, "File exists", "The session has a file of this name with other content, role or camera."),
+    "file-too-nested": Kind(422, "File too nested", "The file nests its values deeper than any program would."),
     "file-too-large": Kind(413, "File too large", "The file is larger than GONIO_MAX_UPLOAD_BYTES."),
     "upload-truncated": Kind(400, "Upload truncated", "The form ended before its last part did. Nothing was kept."),
+    "quota-exceeded": Kind(507, "Quota exceeded", "The lab keeps as much as it may, GONIO_LAB_QUOTA_BYTES."),
+    "upload-locked": Kind(423, "Upload locked", "Another request writes to this upload at the moment."),
+    "upload-offset-wrong": Kind(409, "Offset wrong", "The piece begins elsewhere than the upload stands."),
+    "upload-checksum-wrong": Kind(
+        460, "Checksum mismatch", "The piece was damaged on its way; nothing of it was kept."
+    ),
+    "upload-too-long": Kind(413, "Upload too long", "More bytes came than were announced; the piece was not kept."),
+    "upload-header-wrong": Kind(400, "Header wrong", "A header of the upload can't be read; the detail says which."),
+    "tus-version-unsupported": Kind(412, "Version of tus unsupported", "This service speaks tus 1.0.0."),
     "disk-full": Kind(507, "Disk full", "The service has no room for the file."),
     "not-a-video": Kind(422, "Not a video", "The file is no video container that gonio opens."),
     "no-video-stream": Kind(422, "No video stream", "The file is a container without pictures."),
@@ -104,16 +119,25 @@ KINDS: Mapping[str, Kind] = {
     "calibration-ambiguous": Kind(422, "Calibration ambiguous", "There are several calibrations; which one is meant?"),
     "too-few-cameras": Kind(409, "Too few cameras", "A rig is calibrated from the videos of two cameras or more."),
     "too-few-videos": Kind(409, "Too few videos", "A point needs two cameras to be seen in space."),
+    "too-many-jobs": Kind(429, "Too many jobs", "The lab has as many jobs waiting as it may, GONIO_JOBS_PER_LAB."),
     "session-busy": Kind(409, "Session busy", "What an analysis reads can't be deleted while it runs."),
     "idempotency-key-reused": Kind(422, "Idempotency key reused", "A key stands for one analysis, for ever."),
     "internal-error": Kind(500, "Internal error", "A fault of gonio's own; its log explains the `reference`."),
     "worker-crashed": Kind(500, "Worker crashed", "The analysis ended the process that computed it."),
     "artefact-damaged": Kind(500, "Artefact damaged", "An intermediate result is missing or has changed on the disk."),
+    "database-unreachable": Kind(503, "Database unreachable", "The service can't use its database at the moment."),
+    "store-unreachable": Kind(503, "Store unreachable", "The service can't use its store of files at the moment."),
     "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),
 }
 
-GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page")
+GUARD = ("key-missing", "key-invalid", "scope-missing", "foreign-page", "too-many-requests")
 """How every route may fail that belongs to a lab."""
+
+ANYWHERE = ("internal-error", "database-unreachable", "store-unreachable")
+"""How every route may fail."""
+
+RETRY_AFTER_S = 5
+"""When to ask again what is out of reach now."""
 
 _SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
@@ -139,7 +163,7 @@ def entry_of(code: str, class_name: str = "") -> str:
 def fails(*codes: str) -> dict[int | str, dict[str, Any]]:
     """Document for OpenAPI how a route may fail; every route may fail by an invalid request or a fault of ours."""
     responses: dict[int | str, dict[str, Any]] = {}
-    for code in (*codes, "invalid-request", "internal-error"):
+    for code in (*codes, "invalid-request", *ANYWHERE):
         kind = KINDS[code]
         entry = responses.setdefault(kind.status, {"description": "", "content": {MEDIA_TYPE: {"schema": _SCHEMA}}})
         entry["description"] += f"* `{code}`: {kind.meaning}\n"
@@ -178,11 +202,24 @@ def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
     answer = problem(
         request, told["code"], told["message"], hint=told["hint"], class_name=told["kind"], members=told["details"]
     )
+    if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE:
+        log.warning("%s at %s %r: %s", told["code"], request.method, request.url.path, error.__cause__)
+        answer.headers["Retry-After"] = str(RETRY_AFTER_S)
+    if answer.status_code == HTTPStatus.TOO_MANY_REQUESTS:
+        answer.headers["Retry-After"] = str(told["details"]["retry_after_s"])
     if answer.status_code == HTTPStatus.UNAUTHORIZED:
         # A browser that wants a page asks its user for the password; a script's request must not make it ask.
         wants_page = "text/html" in request.headers.get("accept", "")
         answer.headers["WWW-Authenticate"] = f'{"Basic" if wants_page else "Bearer"} realm="gonio"'
     return answer
+
+
+def of_database_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer that the database is out of reach, or that its disk is full."""
+    assert isinstance(error, OperationalError)
+    told = disk_full() if "is full" in str(error.orig) else database_unreachable()
+    told.__cause__ = error.orig
+    return of_gonio_error(request, told)
 
 
 def of_http_error(request: Request, error: Exception) -> JSONResponse:

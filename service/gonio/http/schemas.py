@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_valida
 from gonio.http.problems import entry_of
 from gonio.jobs.access import LONGEST_KEY, NewKey, Scope
 from gonio.jobs.service import JobView
-from gonio.jobs.tables import CalibrationRow, FileRow, JobState, KeyRow, ReadingRow, ReportRow, SessionRow
+from gonio.jobs.tables import CalibrationRow, ErasureRow, FileRow, JobState, KeyRow, ReadingRow, ReportRow, SessionRow
 from gonio.pipeline.run import Role, SessionKind
 from gonio.records import LabSource, Level, Severity
 
@@ -420,3 +420,16 @@ class ReadingOut(BaseModel):
     def of(cls, row: ReadingRow) -> Self:
         """Show a reading."""
         return cls(at=row.created_at, key=row.key_id, session=row.session_id, what=row.what)
+
+
+class ErasureOut(BaseModel):
+    """The deletion of a session."""
+
+    session: str
+    asked_at: Time
+    done_at: Time | None = Field(description="Since when nothing is left of it: no row, no file, no result, no step.")
+
+    @classmethod
+    def of(cls, row: ErasureRow) -> Self:
+        """Show a deletion."""
+        return cls(session=row.session_id, asked_at=row.created_at, done_at=row.done_at)

@@ -71,7 +71,7 @@ class Access:
         if row is None:
             return None
         if row.last_used_at is None or row.last_used_at < now() - USED_EVERY:
-            with self._database.write() as session:
+            with self._database.write(row.lab) as session:
                 Repository(session, row.lab).key(row.id).last_used_at = now()
         return Caller(lab=row.lab, key_id=row.id, scopes=tuple(row.scopes))
 
@@ -141,7 +141,7 @@ class Access:
 
     def _end(self, lab: str, key_id: str, grace: timedelta) -> None:
         end = now() + grace
-        with self._database.write() as session:
+        with self._database.write(lab) as session:
             row = Repository(session, lab).key(key_id)
             row.expires_at = end if row.expires_at is None else min(row.expires_at, end)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gonio.errors import InputError
 from gonio.jobs.filenames import IMAGES
 from gonio.pipeline.run import Role
 
@@ -15,7 +16,22 @@ Raises a GonioError that names the file and the remedy.
 
 
 def probe_file(path: Path, role: Role) -> dict[str, Any]:
-    """Look into a file with gonio's own readers."""
+    """Look into a file with gonio's own readers.
+
+    Raises:
+        InputError: ``file-too-nested``, or what the reader says.
+    """
+    try:
+        return _probe(path, role)
+    except RecursionError:  # a few kilobytes of brackets do it, in any format that nests
+        raise InputError(
+            f"The values of {path.name} are nested too deep.",
+            hint="Export the file again; no program nests what it means a thousand times.",
+            code="file-too-nested",
+        ) from None
+
+
+def _probe(path: Path, role: Role) -> dict[str, Any]:
     # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
     if role in ("sweep", "lens", "floor") and path.suffix.lower() in IMAGES:
         from gonio.vision.stills import read_grey

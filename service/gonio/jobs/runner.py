@@ -10,14 +10,13 @@ from dbos import DBOS
 
 from gonio.formats.record_file import read_record, write_record
 from gonio.jobs.failure import describe, revive
+from gonio.jobs.queue import PROGRESS
 from gonio.jobs.store import Store, Stored
 from gonio.pipeline.run import STAGE_SHARES, Estimate, Outcome, Progress
 from gonio.records import Finding
 
 T = TypeVar("T")
 
-PROGRESS = "progress"
-"""The DBOS event under which a job's progress is published."""
 REPORT_EVERY_S = 1.0
 
 
@@ -26,7 +25,7 @@ class DurableRunner:
 
     The database keeps the key and hash of a stage's outcome; the outcome itself, and the files that the stage wrote
     into the output folder, are in the store. Paths below ``folder`` (the capture files, the output) are kept relative
-    to it, so another worker can go on in another folder.
+    to it, so another worker can go on in another folder. ``on_move`` hears each sign that a stage gets on.
     """
 
     def __init__(
@@ -35,8 +34,10 @@ class DurableRunner:
         prefix: str,
         folder: Path,
         shares: Mapping[str, float] = STAGE_SHARES,
+        on_move: Callable[[], None] = lambda: None,
     ) -> None:
         self.seconds: dict[str, float] = {}
+        self._on_move = on_move
         self._store = store
         self._prefix = prefix
         self._folder = folder
@@ -77,6 +78,7 @@ class DurableRunner:
 
     def _run(self, stage: str, work: Callable[[Progress], Outcome[T]]) -> Outcome[T]:
         def progress(fraction: float) -> None:
+            self._on_move()
             whole, remaining_s = self._estimate.at(stage, fraction)
             now_s = time.monotonic()
             if now_s - self._last_report_s < REPORT_EVERY_S:

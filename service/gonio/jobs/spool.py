@@ -8,8 +8,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from gonio.errors import InputError, ResourceError
+from gonio.errors import InputError
 from gonio.jobs.liveness import hold_folder, try_hold_folder
+from gonio.jobs.store import disk_full
 
 
 class Spool:
@@ -113,12 +114,3 @@ class Incoming:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def disk_full() -> ResourceError:
-    """Say that there is no room for an upload."""
-    return ResourceError(
-        "The disk of the service is nearly full, so the file was not taken.",
-        hint="Delete sessions that are no longer needed, or make room on the disk of GONIO_DATA_DIR.",
-        code="disk-full",
-    )

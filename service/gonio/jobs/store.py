@@ -5,15 +5,19 @@ import os
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import NamedTuple
 
 import obstore
+from obstore.exceptions import BaseError
 from obstore.store import LocalStore, MemoryStore, S3Store, from_url
 
-from gonio.errors import GonioError
+from gonio.errors import GonioError, InputError, ResourceError
 
 CHUNK = 1 << 20
+PATIENCE_S = 10.0
+"""How long somebody who waits for an answer waits for a bucket that is out of reach."""
 
 
 class Stored(NamedTuple):
@@ -32,20 +36,45 @@ class Store:
         self._folder = folder
 
     @classmethod
-    def open(cls, url: str) -> "Store":
-        """Open the store at a URL (``file:///folder``, ``s3://bucket/prefix``); a folder is made if it isn't there."""
+    def open(cls, url: str, *, patience_s: float = PATIENCE_S) -> "Store":
+        """Open the store at a URL.
+
+        Args:
+            url: ``file:///folder``, which is made if it isn't there, or ``s3://bucket/prefix``. The bucket's server, region
+                and credentials are taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_REGION``,
+                ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``), as other programs do.
+            patience_s: How long requests to a bucket that is out of reach are tried again.
+
+        Raises:
+            InputError: ``store-unsupported``.
+        """
         if url.startswith("file:"):
             objects = LocalStore.from_url(url, mkdir=True, automatic_cleanup=True)
             return cls(objects, objects.prefix)
-        objects = from_url(url)
-        assert isinstance(objects, (MemoryStore, S3Store))
+        if not url.startswith("s3://"):
+            raise InputError(
+                f"Files can't be kept at {url}.",
+                hint="Leave GONIO_OBJECTS_URL unset, or give it a file:/// or an s3:// URL.",
+                code="store-unsupported",
+            )
+        objects = from_url(
+            url,
+            client_options={"allow_http": os.environ.get("AWS_ENDPOINT_URL", "").startswith("http:")},
+            retry_config={
+                "max_retries": 1000,
+                "retry_timeout": timedelta(seconds=patience_s),
+                "backoff": {"max_backoff": timedelta(seconds=2)},
+            },
+        )
+        assert isinstance(objects, S3Store)
         return cls(objects)
 
     def put_bytes(self, prefix: str, name: str, content: bytes) -> Stored:
         """Store bytes below a prefix. The key has their hash in it, so no other content can take their place."""
         sha256 = hashlib.sha256(content).hexdigest()
         key = f"{prefix}/{sha256[:16]}/{name}"
-        obstore.put(self._objects, key, content)
+        with _telling():
+            obstore.put(self._objects, key, content)
         self._settle(key)
         return Stored(key, sha256, len(content))
 
@@ -54,21 +83,23 @@ class Store:
         with path.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         key = f"{prefix}/{sha256[:16]}/{name}"
-        obstore.put(self._objects, key, path)
+        with _telling():
+            obstore.put(self._objects, key, path)
         self._settle(key)
         return Stored(key, sha256, path.stat().st_size)
 
     def take_file(self, key: str, path: Path) -> None:
         """Store a file that may be moved: in a folder on the same disk no byte of it is copied."""
-        if self._folder is not None:
-            target = self._folder / key
-            target.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                path.rename(target)
-            except OSError:  # another disk
+        target = None if self._folder is None else self._folder / key
+        with _telling():
+            if target is None:
                 obstore.put(self._objects, key, path)
-        else:
-            obstore.put(self._objects, key, path)
+            else:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    path.rename(target)
+                except OSError:  # another disk
+                    obstore.put(self._objects, key, path)
         path.unlink(missing_ok=True)
         self._settle(key)
 
@@ -79,7 +110,8 @@ class Store:
             GonioError: ``artefact-damaged`` if it is missing or has changed.
         """
         try:
-            content = obstore.get(self._objects, stored.key).bytes().to_bytes()
+            with _telling():
+                content = obstore.get(self._objects, stored.key).bytes().to_bytes()
         except FileNotFoundError:
             content = b""
         if hashlib.sha256(content).hexdigest() != stored.sha256:
@@ -106,19 +138,26 @@ class Store:
             yield path
             return
         with tempfile.NamedTemporaryFile(prefix="gonio-") as file:
-            for chunk in obstore.get(self._objects, key).stream(CHUNK):
-                file.write(chunk)
-            file.flush()
+            with _telling():
+                for chunk in obstore.get(self._objects, key).stream(CHUNK):
+                    file.write(chunk)
+                file.flush()
             yield Path(file.name)
 
     def delete(self, prefix: str) -> None:
         """Delete an object, or all objects below a prefix; what isn't there is deleted already."""
-        keys = [meta["path"] for page in obstore.list(self._objects, prefix) for meta in page]
-        for key in keys or [prefix]:
-            try:
-                obstore.delete(self._objects, key)
-            except FileNotFoundError:
-                continue
+        with _telling():
+            keys = [meta["path"] for page in obstore.list(self._objects, prefix) for meta in page]
+            for key in keys or [prefix]:
+                try:
+                    obstore.delete(self._objects, key)
+                except FileNotFoundError:
+                    continue
+
+    def is_there(self, prefix: str) -> bool:
+        """Tell whether there is anything below a prefix."""
+        with _telling():
+            return any(page for page in obstore.list(self._objects, prefix))
 
     def _settle(self, key: str) -> None:
         """Make an object outlive a power cut: a rename is only safe when the file and its folder are on the disk."""
@@ -131,3 +170,29 @@ class Store:
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
+
+
+@contextmanager
+def _telling() -> Generator[None]:
+    """Tell in gonio's words that the store can't be used."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except (BaseError, OSError) as error:
+        if "os error 28" in str(error) or "No space left" in str(error):
+            raise disk_full() from error
+        raise ResourceError(
+            "The store of files and results can't be used at the moment.",
+            hint="Try again in a minute; whoever runs the service finds the reason in its log.",
+            code="store-unreachable",
+        ) from error
+
+
+def disk_full() -> ResourceError:
+    """Say that there is no room."""
+    return ResourceError(
+        "The disk of the service is nearly full.",
+        hint="Delete sessions that are no longer needed, or make room on the disk of GONIO_DATA_DIR.",
+        code="disk-full",
+    )

@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, Index, MetaData, String, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Column, Float, ForeignKey, Index, MetaData, String, Table, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 METADATA = MetaData(
@@ -28,6 +28,7 @@ class JobState(StrEnum):
 
 
 ACTIVE = (JobState.TODO, JobState.DOING)
+FINAL = (JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED)
 
 
 def now() -> datetime:
@@ -85,13 +86,17 @@ class JobRow(Row):
     calibration_id: Mapped[str | None] = mapped_column(String(36))  # may not be deleted while the job runs
     state: Mapped[str] = mapped_column(String(16))
     parameters: Mapped[dict[str, Any]]
-    files: Mapped[list[dict[str, Any]]]  # the session's files when the analysis was asked for: name, role, camera, key
+    files: Mapped[
+        list[dict[str, Any]]
+    ]  # the session's files when the analysis was asked for: name, role, camera, key, sha256
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     stages: Mapped[list[dict[str, Any]]] = mapped_column(default=list)  # name and seconds of each finished stage
     started_at: Mapped[datetime | None]
     ended_at: Mapped[datetime | None]
     takeovers: Mapped[int] = mapped_column(default=0)  # how often a worker died over it since it last got on
     steps_at_takeover: Mapped[int] = mapped_column(default=0)
+    fingerprint: Mapped[str | None] = mapped_column(String(64))  # of all that its result depends on
+    generation: Mapped[int] = mapped_column(default=0, server_default="0")  # one more with each worker that lost it
 
 
 class CalibrationRow(Row):
@@ -129,6 +134,51 @@ class ReadingRow(Row):
     key_id: Mapped[str | None] = mapped_column(String(36))  # None: without a key, on the service's own machine
     session_id: Mapped[str | None] = mapped_column(String(36))  # None: the list of sessions
     what: Mapped[str]
+
+
+class ErasureRow(Row):
+    """The deletion of a session: written with the deletion of its rows, done when nothing else is left of it either."""
+
+    __tablename__ = "erasures"
+    __table_args__ = (Index(None, "lab", "created_at"), Index(None, "done_at"))
+
+    session_id: Mapped[str] = mapped_column(String(36))
+    jobs: Mapped[list[str]]
+    done_at: Mapped[datetime | None]
+
+
+class WebhookRow(Row):
+    """An address of a lab's that hears when its jobs end."""
+
+    __tablename__ = "webhooks"
+    __table_args__ = (Index(None, "lab", "created_at"),)
+
+    url: Mapped[str]
+    secret: Mapped[str]  # signs; so it can't be kept as a digest
+
+
+class DeliveryRow(Row):
+    """A message to a webhook: on its way while ``due_at`` is set."""
+
+    __tablename__ = "deliveries"
+    __table_args__ = (Index(None, "due_at"), Index(None, "webhook_id", "created_at"))
+
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
+    content: Mapped[dict[str, Any]]
+    attempts: Mapped[int] = mapped_column(default=0)
+    due_at: Mapped[datetime | None] = mapped_column(default=now)
+    delivered_at: Mapped[datetime | None]
+    answer: Mapped[str] = mapped_column(default="")  # the status of the last answer, or why there was none
+
+
+TALLIES = Table(
+    "tallies",
+    METADATA,
+    Column("name", String(100), primary_key=True),
+    Column("count", BigInteger, nullable=False),
+    Column("total", Float, nullable=False),
+)
+"""Numbers that only grow, over all labs: they outlive what they counted, and tell nothing of anybody."""
 
 
 class ReportRow(Row):

@@ -7,19 +7,25 @@ import shutil
 import signal
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from types import FrameType
 from uuid import uuid4
 
-from dbos import DBOS, DBOSPortableJSONSerializer
+import psycopg
+from dbos import DBOS, DBOSPortableJSONSerializer, WorkflowStatus
+from sqlalchemy.exc import OperationalError
 
 from gonio.jobs.database import Database, upgrade
+from gonio.jobs.desk import Desk, start_heartbeat
 from gonio.jobs.failure import Problem
-from gonio.jobs.liveness import Locks
-from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs
+from gonio.jobs.liveness import open_locks
+from gonio.jobs.logs import set_up_logging
+from gonio.jobs.queue import APPLICATION, QUEUE, Queue
+from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs, add_to_tallies
 from gonio.jobs.store import Store
-from gonio.jobs.workflow import APPLICATION, QUEUE, VERSION, Workshop, end_badly, register
+from gonio.jobs.workflow import VERSION, Workshop, end_badly, register
 from gonio.pipeline.run import River
 from gonio.settings import Settings
 
@@ -31,6 +37,16 @@ SWEEP_S = 1.0
 """How often a worker looks for dead ones."""
 MAX_TAKEOVERS = 3
 """How many workers a job may kill in one and the same stage."""
+STORE_PATIENCE_S = 280.0
+"""How long a worker waits for a store that is out of reach before it gives a job up."""
+OUTAGE_GRACE_S = 10.0
+"""How long nobody is taken for dead after an outage of the database, in which all workers lose their locks."""
+SWEEPS_AFTER_END = 3
+"""How many sweeps long a stage may go on whose job has ended elsewhere, on request or by another worker."""
+
+
+class WorkerStuck(Exception):
+    """What the worker computes doesn't get on, or isn't wanted any more, and can't be stopped without the process."""
 
 
 def run_worker(
@@ -48,6 +64,7 @@ def run_worker(
     """
     if supervisor_pid is not None:
         die_with(supervisor_pid)
+    start_heartbeat()
     stop = threading.Event()
 
     def ask_to_stop(_number: int, _frame: FrameType | None) -> None:
@@ -62,8 +79,10 @@ def run_worker(
         try:
             worker.start()
             while not stop.wait(SWEEP_S):
-                worker.take_over()
+                worker.look_around()
             status = 0
+        except WorkerStuck as stuck:
+            log.error("Worker %s ends: %s", worker.name, stuck)  # noqa: TRY400 - a traceback would tell nothing
         except Exception:
             log.exception("Worker %s ends", worker.name)
         worker.clean_up()
@@ -79,14 +98,20 @@ class Worker:
     def __init__(self, settings: Settings, rivers: Mapping[str, River]) -> None:
         self.name = f"worker-{uuid4().hex[:12]}"
         self._url = settings.resolved_database_url
-        self._locks = Locks(settings.data_dir / "locks")
+        self._silence_s = settings.stage_silence_s
+        self.desk = Desk()
+        self._locks = open_locks(settings)
+        self._queue = Queue(settings.resolved_database_url)
         self._folders = settings.cache_dir / "work"
         self._workshop = Workshop(
             database=Database(self._url),
-            store=Store.open(settings.resolved_objects_url),
+            store=Store.open(settings.resolved_objects_url, patience_s=STORE_PATIENCE_S),
             folder=self._folders / self.name,
             rivers=rivers,
+            desk=self.desk,
         )
+        self._careful_until_s = 0.0
+        self._sweeps_after_end = 0
 
     def alive(self) -> ExitStack:
         """Hold the lock that tells the other workers that this one lives."""
@@ -112,12 +137,27 @@ class Worker:
         DBOS.launch()
         DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=POLL_S)
         log.info("Worker %s is ready", self.name)
-        self.take_over()
+        self.look_around()
+
+    def look_around(self) -> None:
+        """Look after dead workers' jobs and after the own one; while the database is out of reach, do nothing.
+
+        Raises:
+            WorkerStuck: This process must end.
+        """
+        try:
+            if self._locks.renew():
+                self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
+            if time.monotonic() > self._careful_until_s:
+                self.take_over()
+            self.watch_desk()
+        except (psycopg.OperationalError, OperationalError) as error:
+            log.warning("Worker %s can't reach the database: %s", self.name, error)
+            self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
 
     def take_over(self) -> None:
         """Put the jobs of dead workers back into the queue, and remove what else they left."""
-        pending = DBOS.list_workflows(status="PENDING", load_input=False, load_output=False)
-        owners = {workflow.executor_id for workflow in pending if workflow.executor_id}
+        owners = {workflow.executor_id for workflow in self._queue.pending() if workflow.executor_id}
         left = {path.name for path in self._folders.iterdir()} | set(self._locks.names())
         for owner in (owners | left) - {self.name}:
             if not owner.startswith("worker-"):
@@ -126,45 +166,83 @@ class Worker:
                 if not dead:
                     continue
                 # Asked again inside the lock: another worker may have taken them over since.
-                for workflow in DBOS.list_workflows(status="PENDING", executor_id=owner, load_output=False):
-                    self._resume(workflow.workflow_id, workflow.queue_name)
+                for workflow in self._queue.pending(owner):
+                    self._resume(workflow)
                 shutil.rmtree(self._folders / owner, ignore_errors=True)
-        self._end_lost_jobs()
+        self._queue_stranded_jobs()
 
     def clean_up(self) -> None:
         """Remove the work in progress: what is worth keeping is in the store."""
         shutil.rmtree(self._workshop.folder, ignore_errors=True)
 
-    def _resume(self, job_id: str, queue: str | None) -> None:
-        """Put a job back into the queue, unless it killed too many workers in the same stage."""
-        steps = len(DBOS.list_workflow_steps(job_id))
-        with self._workshop.database.write() as session:
-            job = active_job_of_any_lab(session, job_id)
-            poisonous = False
-            if job is not None:
-                # DBOS forgets its own count when a workflow is resumed, so it is kept here.
-                job.takeovers = 1 if steps > job.steps_at_takeover else job.takeovers + 1
-                job.steps_at_takeover = steps
-                poisonous = job.takeovers >= MAX_TAKEOVERS
-                if poisonous:
-                    end_badly(Repository(session, job.lab), job_id, _crash_problem(job.takeovers))
-        if job is None or poisonous:
-            DBOS.cancel_workflow(job_id)
-        else:
-            log.warning("Worker %s takes over job %s", self.name, job_id)
-            DBOS.resume_workflow(job_id, queue_name=queue or QUEUE)  # the queue: or its limits would be bypassed
+    def watch_desk(self) -> None:
+        """See whether the job on the desk gets on and is still wanted.
 
-    def _end_lost_jobs(self) -> None:
-        """End the jobs whose workflow ended without telling: an error outside the river, such as a full disk."""
+        Raises:
+            WorkerStuck: It doesn't, or isn't, and only the end of this process stops it.
+        """
+        desk = self.desk
+        job_id, silent_s = desk.job_id, desk.silent_s
+        if job_id is None:
+            self._sweeps_after_end = 0
+            return
+        if silent_s > self._silence_s:
+            raise WorkerStuck(f"nothing was heard of job {job_id} for {silent_s:.0f} s")
+        with self._workshop.database.read() as session:
+            wanted = active_job_of_any_lab(session, job_id) is not None
+        self._sweeps_after_end = 0 if wanted else self._sweeps_after_end + 1
+        if self._sweeps_after_end > SWEEPS_AFTER_END:
+            raise WorkerStuck(f"job {job_id} has ended, and its stage doesn't hear of it")
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._queue.close()
+        self._workshop.database.close()
+
+    def _resume(self, workflow: WorkflowStatus) -> None:
+        """Put a job back into the queue, unless it killed too many workers in the same stage."""
+        job_id = workflow.workflow_id
+        steps = len(self._queue.step_names(job_id))
+        with self._workshop.database.read() as session:
+            job = active_job_of_any_lab(session, job_id)
+        if job is None:
+            self._queue.cancel(job_id)
+            return
+        with self._workshop.database.write(job.lab) as session:
+            # DBOS forgets its own count when a workflow is resumed, so it is kept here.
+            takeovers = 1 if steps > job.steps_at_takeover else job.takeovers + 1
+            repository = Repository(session, job.lab)
+            repository.lose_job(job_id, takeovers, steps)
+            add_to_tallies(session, {"takeovers": 1})
+            if takeovers >= MAX_TAKEOVERS:
+                end_badly(repository, job_id, _crash_problem(takeovers))
+        if takeovers >= MAX_TAKEOVERS:
+            self._queue.cancel(job_id)
+            return
+        log.warning("Worker %s takes over job %s", self.name, job_id)
+        self._queue.resume(job_id)
+
+    def _queue_stranded_jobs(self) -> None:
+        """Bring jobs on that no worker would ever take.
+
+        Those are begun in another version of the river, and wait: they start anew. And those whose workflow ended without
+        telling, by an error outside the river: they have failed.
+        """
         with self._workshop.database.read() as session:
             labs = {job.id: job.lab for job in active_jobs_of_all_labs(session)}
         if not labs:
             return
-        for workflow in DBOS.list_workflows(workflow_ids=list(labs), load_input=False, load_output=False):
-            if workflow.status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
-                with self._workshop.database.write() as session:
-                    repository = Repository(session, labs[workflow.workflow_id])
-                    end_badly(repository, workflow.workflow_id, _crash_problem(1))
+        workflows = {workflow.workflow_id: workflow for workflow in self._queue.of_jobs(list(labs))}
+        for job_id, lab in labs.items():
+            workflow = workflows.get(job_id)
+            if workflow is None:
+                self._queue.add_again(self._workshop.database, lab, job_id)
+            elif workflow.status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
+                with self._workshop.database.write(lab) as session:
+                    end_badly(Repository(session, lab), job_id, _crash_problem(1))
+            elif workflow.status == "ENQUEUED" and workflow.app_version not in (None, VERSION):
+                log.warning("Job %s was begun by version %s and starts anew", job_id, workflow.app_version)
+                self._queue.forget([job_id])
 
 
 def die_with(parent_pid: int) -> None:
@@ -188,12 +266,13 @@ def _crash_problem(count: int) -> Problem:
 
 def main() -> None:
     """Run a worker with the settings of the environment and the rivers of this version."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    settings = Settings()
+    set_up_logging(settings)
     # In here, since importing the rivers takes seconds that nobody else needs to wait for.
     from gonio.pipeline.rivers import RIVERS
 
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    run_worker(Settings(), RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
+    run_worker(settings, RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 from uuid import uuid4
@@ -13,9 +14,12 @@ from uuid import uuid4
 from dbos import DBOS
 
 from gonio.formats.calibration_json import read_calibration_document
-from gonio.jobs.database import Database
+from gonio.jobs.database import Database, patiently
+from gonio.jobs.desk import Desk
 from gonio.jobs.failure import Problem, describe
-from gonio.jobs.repository import Repository
+from gonio.jobs.logs import about
+from gonio.jobs.queue import WORKFLOW
+from gonio.jobs.repository import Repository, add_to_tallies
 from gonio.jobs.runner import DurableRunner
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ACTIVE, CalibrationRow, JobRow, JobState, ReportRow, now
@@ -23,9 +27,6 @@ from gonio.pipeline.run import CaptureFile, ReportFiles, River, Role
 
 log = logging.getLogger(__name__)
 
-APPLICATION = "gonio"
-WORKFLOW = "analyse"
-QUEUE = "analysis"
 VERSION = "pipeline-4"
 """The version of the steps' names and order. DBOS goes on with a job only in the version that began it: change it when
 a stage is added, removed or moved, and only then, or each deployment would strand the jobs that are under way."""
@@ -39,6 +40,7 @@ class Workshop:
     store: Store
     folder: Path
     rivers: Mapping[str, River]
+    desk: Desk
 
 
 def session_prefix(lab: str, session_id: str) -> str:
@@ -64,26 +66,35 @@ class Analysis:
         self._workshop = workshop
         self._lab = lab
         self._job_id = job_id
+        self._generation = 0
 
     def run(self) -> None:
         """Run the job to its end, whatever that is; only cancellation and loss of ownership leave it early."""
-        plan = DBOS.run_step({"name": "begin"}, self._begin)
+        with self._workshop.desk.working_on(self._job_id), about(job=self._job_id):
+            # No step: a worker that comes after a dead one must read it anew.
+            self._generation = patiently(self._read_generation)
+            self._run()
+
+    def _run(self) -> None:
+        plan = DBOS.run_step({"name": "begin"}, patiently, self._begin)
         if plan is None:
             return
         try:
             self._analyse(plan)
         except Exception as error:
             problem = describe(error)
-            DBOS.run_step({"name": "fail"}, self._fail, problem)
+            DBOS.run_step({"name": "fail"}, patiently, lambda: self._fail(problem))
 
     def _analyse(self, plan: dict[str, Any]) -> None:
         with self._workplace(plan["files"]) as (folder, files):
             prefix = f"{session_prefix(self._lab, plan['session_id'])}/jobs/{self._job_id}"
             river = self._workshop.rivers[plan["kind"]]
-            runner = DurableRunner(self._workshop.store, prefix, folder, river.shares)
+            runner = DurableRunner(self._workshop.store, prefix, folder, river.shares, self._workshop.desk.move)
             result = river.compute(files, plan["parameters"], runner, folder / "output")
+            log.info("All stages are done in %.1f s", sum(runner.seconds.values()))
             stages = [{"name": stage, "seconds": seconds} for stage, seconds in runner.seconds.items()]
-            DBOS.run_step({"name": "publish"}, self._publish, plan, prefix, result, stages)
+            publish = partial(self._publish, plan, prefix, result, stages)
+            DBOS.run_step({"name": "publish"}, patiently, publish)
 
     @contextmanager
     def _workplace(self, files: list[dict[str, Any]]) -> Generator[tuple[Path, list[CaptureFile]]]:
@@ -101,9 +112,14 @@ class Analysis:
                 captured.append(CaptureFile(path=link, name=file["name"], role=role, camera=file["camera"]))
             yield folder, captured
 
+    def _read_generation(self) -> int:
+        with self._workshop.database.read() as session:
+            job = Repository(session, self._lab).find_job(self._job_id)
+            return job.generation if job is not None else 0
+
     def _begin(self) -> dict[str, Any] | None:
         """Take the job, unless it was cancelled while it waited."""
-        with self._workshop.database.write() as session:
+        with self._workshop.database.write(self._lab) as session:
             repository = Repository(session, self._lab)
             if not repository.change_job(self._job_id, ACTIVE, state=JobState.DOING, started_at=now()):
                 return None
@@ -123,22 +139,29 @@ class Analysis:
             stored = self._workshop.store.put_file(f"{prefix}/report", path.name, path)
             files.append({"name": path.name, "kind": kind, **stored._asdict()})
         values = summarize_calibration(result.document) if plan["kind"] == "calibration" else None
-        with self._workshop.database.write() as session:
+        with self._workshop.database.write(self._lab) as session:
             repository = Repository(session, self._lab)
             ended = repository.change_job(
-                self._job_id, [JobState.DOING], state=JobState.SUCCEEDED, ended_at=now(), stages=stages
+                self._job_id,
+                [JobState.DOING],
+                of_generation=self._generation,
+                state=JobState.SUCCEEDED,
+                ended_at=now(),
+                stages=stages,
             )
             if ended:
                 common = {"id": self._job_id, "session_id": plan["session_id"], "files": files}
                 name = repository.session(plan["session_id"]).name
                 row = ReportRow(**common) if values is None else CalibrationRow(name=name, **common, **values)
                 repository.add(row)
+                add_to_tallies(session, {f"stage {stage['name']}": stage["seconds"] for stage in stages})
+                add_to_tallies(session, {"frames": repository.count_frames(plan["session_id"])})
         return ended
 
     def _fail(self, problem: Problem) -> bool:
-        log.warning("Job %s failed: %s", self._job_id, problem["code"])
-        with self._workshop.database.write() as session:
-            return end_badly(Repository(session, self._lab), self._job_id, problem)
+        log.warning("The job failed: %s", problem["code"])
+        with self._workshop.database.write(self._lab) as session:
+            return end_badly(Repository(session, self._lab), self._job_id, problem, self._generation)
 
 
 def summarize_calibration(document: Path) -> dict[str, Any]:
@@ -158,6 +181,8 @@ def summarize_calibration(document: Path) -> dict[str, Any]:
     }
 
 
-def end_badly(repository: Repository, job_id: str, problem: Problem) -> bool:
+def end_badly(repository: Repository, job_id: str, problem: Problem, generation: int | None = None) -> bool:
     """End a job with a problem, if it hasn't ended."""
-    return repository.change_job(job_id, ACTIVE, state=JobState.FAILED, ended_at=now(), problem=problem)
+    return repository.change_job(
+        job_id, ACTIVE, of_generation=generation, state=JobState.FAILED, ended_at=now(), problem=problem
+    )

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gonio.errors import InputError
+from gonio.vision import MAX_PIXELS
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
-MAX_PIXELS = 100_000_000
 
 Grey = UInt8[np.ndarray, "height width"]
 

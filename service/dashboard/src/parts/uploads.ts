@@ -1,6 +1,7 @@
-// Uploads of one session: several at once, each with its progress, tried again after a dropped connection.
+// Uploads of one session: several at once, each with its progress; after a cut, each goes on from where the service stands.
 
 import { signal } from "@preact/signals";
+import { DetailedError, Upload as Tus } from "tus-js-client";
 import { Problem } from "../api";
 
 export interface Upload {
@@ -13,6 +14,8 @@ export interface Upload {
 const AT_ONCE = 3;
 const RETRY_MS = 3000;
 const TRIES = 20;
+const LOCKED = 423; // by the request that was cut, until the service notices
+const FULL = 507;
 
 export class Uploads {
   readonly list = signal<Upload[]>([]);
@@ -38,51 +41,45 @@ export class Uploads {
     const sending = this.list.value.filter((one) => one.state === "sending").length;
     for (const one of this.list.value.filter((each) => each.state === "waiting").slice(0, AT_ONCE - sending)) {
       this.change(one.file, { state: "sending" });
-      void this.send(one.file);
+      this.send(one.file);
     }
   }
 
-  private async send(file: File) {
-    for (let attempt = 1; ; attempt++) {
-      try {
-        await post(this.session, file, (sent) => this.change(file, { sent }));
-        this.change(file, { state: "done", sent: file.size, problem: null });
-        this.onDone();
-        break;
-      } catch (error) {
-        const problem = error as Problem;
+  private send(file: File) {
+    const ended = (values: Partial<Upload>) => {
+      this.change(file, values);
+      this.next();
+    };
+    new Tus(file, {
+      endpoint: `/v1/sessions/${this.session}/uploads`,
+      metadata: { filename: file.name },
+      retryDelays: Array<number>(TRIES).fill(RETRY_MS),
+      storeFingerprintForResuming: false,
+      onProgress: (sent) => this.change(file, { sent }),
+      onShouldRetry: (error) => {
+        const problem = problemOf(error);
         this.change(file, { problem });
-        if (attempt === TRIES || (problem.status !== 0 && problem.status < 500) || problem.status === 507) {
-          this.change(file, { state: "failed" });
-          break;
-        }
-        await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
-      }
-    }
-    this.next();
+        return problem.status === 0 || problem.status === LOCKED || (problem.status >= 500 && problem.status !== FULL);
+      },
+      onError: (error) => ended({ state: "failed", problem: problemOf(error) }),
+      onSuccess: () => {
+        ended({ state: "done", sent: file.size, problem: null });
+        this.onDone();
+      },
+    }).start();
   }
 }
 
-/** Send a file as a form; `fetch` has no progress of what is sent. */
-function post(session: string, file: File, onSent: (bytes: number) => void): Promise<void> {
-  return new Promise((resolve, reject) => {
-    const request = new XMLHttpRequest();
-    const form = new FormData();
-    form.append("file", file);
-    request.open("POST", `/v1/sessions/${session}/files`);
-    request.upload.onprogress = (event) => onSent(Math.min(event.loaded, file.size));
-    request.onerror = () => reject(new Problem(0, "unreachable", "The connection was cut.", "The upload is tried again."));
-    request.onload = () => {
-      if (request.status < 300) return resolve();
-      let told: { code?: string; detail?: string; hint?: string } = {};
-      try {
-        told = JSON.parse(request.responseText);
-      } catch {
-        // A proxy's page, not gonio's answer.
-      }
-      const detail = told.detail ?? `The service answered ${request.status}.`;
-      reject(new Problem(request.status, told.code ?? "", detail, told.hint ?? ""));
-    };
-    request.send(form);
-  });
+/** Tell in the service's words what went wrong, if it said a word. */
+function problemOf(error: Error): Problem {
+  const answer = error instanceof DetailedError ? error.originalResponse : null;
+  if (!answer) return new Problem(0, "unreachable", "The connection was cut.", "The upload goes on by itself.");
+  let told: { code?: string; detail?: string; hint?: string } = {};
+  try {
+    told = JSON.parse(answer.getBody());
+  } catch {
+    // A proxy's page, not gonio's answer.
+  }
+  const detail = told.detail ?? `The service answered ${answer.getStatus()}.`;
+  return new Problem(answer.getStatus(), told.code ?? "", detail, told.hint ?? "");
 }

@@ -24,7 +24,9 @@ router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"
         "too-few-videos",
         "too-few-cameras",
         "idempotency-key-reused",
-    ),
+        "too-many-jobs",
+    )
+    | {200: {"description": "The job that computes or computed the same from the same files.", "model": JobOut}},
 )
 def start_analysis(
     session_id: Id,
@@ -40,7 +42,8 @@ def start_analysis(
     """Analyse the files that the session has now, or calibrate from them; `Location` is the job to ask for its end."""
     asked = body if body is not None else AnalysisIn()
     calibration = str(asked.calibration) if asked.calibration is not None else None
-    row, _ = service.enqueue(lab, session_id, asked.parameters, idempotency_key, calibration)
+    row, new = service.enqueue(lab, session_id, asked.parameters, idempotency_key, calibration)
+    response.status_code = 202 if new or idempotency_key is not None else 200
     response.headers["Location"] = f"/v1/jobs/{row.id}"
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return JobOut.of(service.job(lab, row.id))

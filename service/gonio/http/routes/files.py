@@ -22,6 +22,40 @@ router = APIRouter(prefix="/v1/sessions/{session_id}/files", tags=["files"], res
 UNLIMITED = 1 << 62
 """The limit of a body is for JSON; that of a file is checked byte by byte in the spool."""
 
+ACCEPTING = (
+    "not-a-video",
+    "no-video-stream",
+    "video-truncated",
+    "video-empty",
+    "video-damaged",
+    "video-codec-unsupported",
+    "calibration-format-unknown",
+    "calibration-unreadable",
+    "calibration-incomplete",
+    "image-empty",
+    "image-unreadable",
+    "board-card-unreadable",
+    "floor-points-unreadable",
+    "pressure-card-unreadable",
+    "pressure-unreadable",
+    "poses-unreadable",
+    "pressure-clock",
+    "pressure-too-long",
+    "pressure-one-foot",
+    "pressure-negative",
+    "pressure-unit",
+    "pressure-cop",
+    "force-coefficients-invalid",
+    "capture-file-unreadable",
+    "plates-missing",
+    "file-exists",
+    "file-too-large",
+    "file-too-nested",
+    "disk-full",
+    "quota-exceeded",
+)
+"""How a file may be refused that came whole."""
+
 _FORM = {
     "requestBody": {
         "required": True,
@@ -68,34 +102,7 @@ _FORM = {
             "role-wrong",
             "camera-missing",
             "file-missing",
-            "not-a-video",
-            "no-video-stream",
-            "video-truncated",
-            "video-empty",
-            "video-damaged",
-            "video-codec-unsupported",
-            "calibration-format-unknown",
-            "calibration-unreadable",
-            "calibration-incomplete",
-            "image-empty",
-            "image-unreadable",
-            "board-card-unreadable",
-            "floor-points-unreadable",
-            "pressure-card-unreadable",
-            "pressure-unreadable",
-            "poses-unreadable",
-            "pressure-clock",
-            "pressure-too-long",
-            "pressure-one-foot",
-            "pressure-negative",
-            "pressure-unit",
-            "pressure-cop",
-            "force-coefficients-invalid",
-            "capture-file-unreadable",
-            "plates-missing",
-            "file-exists",
-            "file-too-large",
-            "disk-full",
+            *ACCEPTING,
         ),
     },
 )
@@ -110,7 +117,7 @@ async def upload_file(
     await run_in_threadpool(service.session, lab, session_id)  # before 20 GB are sent to a session that doesn't exist
     async with receive_form(request, service.spool) as form:
         assert form.file is not None
-        fields = _check(form.fields)
+        fields = check_fields(form.fields)
         row, new = await run_in_threadpool(service.accept_file, lab, session_id, form.file, fields.role, fields.camera)
     shown = FileOut.of(row)
     response.status_code = 201 if new else 200
@@ -169,7 +176,7 @@ def send_content(
     )
 
 
-def _check(fields: dict[str, str]) -> FileFields:
+def check_fields(fields: dict[str, str]) -> FileFields:
     """Check the text fields like any other input."""
     try:
         return TypeAdapter(FileFields).validate_python(fields)

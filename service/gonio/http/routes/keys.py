@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 
 from gonio.http.dependencies import Administrator, Id, Page, TheService
 from gonio.http.problems import GUARD, fails
-from gonio.http.schemas import KeyIn, KeyMade, KeyOut, ListOf, ReadingOut
+from gonio.http.schemas import ErasureOut, KeyIn, KeyMade, KeyOut, ListOf, ReadingOut
 
 router = APIRouter(prefix="/v1", tags=["access"], responses=fails(*GUARD))
 
@@ -53,3 +53,10 @@ def list_readings(
     """List who read what of the lab's subjects, newest first."""
     rows = service.access.readings(caller.lab, str(session) if session else None, page.limit, page.after)
     return ListOf(items=[ReadingOut.of(row) for row in rows], next_cursor=page.next_cursor(rows))
+
+
+@router.get("/erasures", responses=fails("bad-cursor"))
+def list_erasures(page: Page, service: TheService, caller: Administrator) -> ListOf[ErasureOut]:
+    """List the sessions that were deleted, newest first, and since when nothing is left of each."""
+    rows = service.erasures(caller.lab, page.limit, page.after)
+    return ListOf(items=[ErasureOut.of(row) for row in rows], next_cursor=page.next_cursor(rows))

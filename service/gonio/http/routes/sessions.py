@@ -9,7 +9,7 @@ from gonio.http.schemas import ListOf, SessionIn, SessionOut
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=fails(*GUARD))
 
 
-@router.post("", status_code=201, responses=fails("malformed-body", "body-too-large"))
+@router.post("", status_code=201, responses=fails("malformed-body", "body-too-large", "not-found"))
 def create_session(body: SessionIn, response: Response, service: TheService, lab: CurrentLab) -> SessionOut:
     """Create a session, to which the files of one capture are then uploaded."""
     row = service.create_session(
