@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lxml import html
 
+from gonio.formats.force_coefficients import builtin_force_coefficients
 from gonio.formats.mot import read_mot
 from gonio.formats.osim import read_osim
 from gonio.formats.trc import read_trc
@@ -130,6 +131,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         body=body,
         motion=motion,
         measured=NOTHING,
+        coefficients=builtin_force_coefficients(),
         forces=None,
         torques=None,
         gait=cycles,
@@ -159,7 +161,7 @@ def test_the_report_is_written_for_people_programs_and_opensim(
     document = json.loads(written.document.read_text())
     jsonschema.validate(document, report_schema())
     assert document["verdict"]["level"] == "good"
-    assert document["schema_version"] == "1.2"
+    assert document["schema_version"] == "1.3"
     assert [s["name"] for s in document["reconstruction"]["segments"]][:2] == ["right thigh", "left thigh"]
     assert load_report(written.document).model_dump(mode="json") == document
     assert len(key_lines(load_report(written.document))) == 6

@@ -54,7 +54,7 @@ def analyse(
     points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
-    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
+    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen, raw.R_lab_calibrated))
     forces = runner("forces", lambda _: find_forces(motion, measured, chosen, coefficients))
     torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen, coefficients))
     moments = moment_curves(motion, torques)

@@ -41,6 +41,10 @@ GAIN_RANGE = (0.85, 1.15)
 NOT_ZERO_SHARE = 0.03
 LOW_RATE_HZ = 15.0
 
+UNTURNED = np.eye(3)
+UNTURNED.setflags(write=False)
+"""The motion's lab is the one in which plates and mats lie."""
+
 LARGEST_LACK = 0.1
 """A silent sole in whose trial the other one carries too little for a larger share of the time is dead, or was not worn."""
 
@@ -101,8 +105,16 @@ def read_sensors(files: Sequence[CaptureFile], duration_s: float) -> Outcome[Sen
     return Outcome(Sensors(stream=stream, plates=plates, mat=table, mat_card=card), tuple(findings))
 
 
-def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters) -> Outcome[Measured]:
-    """Put soles and plates on the video's clock and to the feet, and judge them."""
+def measure_forces(
+    sensors: Sensors,
+    motion: BodyMotion,
+    parameters: Parameters,
+    R_lab_calibrated: Float[np.ndarray, "3 3"] = UNTURNED,
+) -> Outcome[Measured]:
+    """Put soles and plates on the video's clock and to the feet, and judge them.
+
+    ``R_lab_calibrated`` turns the lab in which plates and mats lie to the motion's.
+    """
     nothing = Measured(pressure=None, clock=None, plates=None)
     if sensors.stream is None and sensors.plates is None:
         return Outcome(nothing)
@@ -110,7 +122,8 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
     findings: list[Finding] = []
     plates = None
     if sensors.plates is not None and course is not None:
-        plates = assign_plates(sensors.plates, course.times_s, course.heel_lab_m, course.toe_lab_m)
+        turned = turn_plates(sensors.plates, R_lab_calibrated)
+        plates = assign_plates(turned, course.times_s, course.heel_lab_m, course.toe_lab_m)
         findings += judge_plates(plates)
     if sensors.stream is None:
         return Outcome(replace(nothing, plates=plates), tuple(findings))
@@ -118,13 +131,14 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
         findings.append(finding("pressure-not-synchronized", where="the movement in the video is not known"))
         return Outcome(replace(nothing, plates=plates), tuple(findings))
     try:
-        given = _above_mat(sensors, sensors.stream, course, 0.0)
+        on_floor = _in_lab(course, R_lab_calibrated.T)
+        given = _above_mat(sensors, sensors.stream, on_floor, 0.0)
         first = in_newtons(given, course.weight_n).pressure
         clock = find_clock(first, course, parameters.forces.search_s)
         offset_s, said = _judge_clock(clock, first, course, parameters)
         if silent := _silent_sole(first, course, np.nan_to_num(offset_s)):
             return Outcome(Measured(pressure=None, clock=clock, plates=plates), (*findings, silent))
-        given = _above_mat(sensors, given, course, offset_s)
+        given = _above_mat(sensors, given, on_floor, offset_s)
     except InputError as error:  # the mat's two halves were right, but not what the feet left on it
         findings.append(finding("pressure-not-synchronized", where=error.message.rstrip(".")))
         return Outcome(replace(nothing, plates=plates), tuple(findings))
@@ -135,6 +149,21 @@ def measure_forces(sensors: Sensors, motion: BodyMotion, parameters: Parameters)
     pressure = replace(pressure, times_s=pressure.times_s - offset_s)
     findings += judge_pressure(given, pressure, course, known_mass=parameters.subject.mass_kg is not None)
     return Outcome(Measured(pressure=pressure, clock=clock, plates=plates), tuple(findings))
+
+
+def turn_plates(plates: ForcePlates, rotation: Float[np.ndarray, "3 3"]) -> ForcePlates:
+    """Turn plates with the lab about its vertical: forces, places and corners; moments about the vertical stay."""
+    return replace(
+        plates,
+        force_lab_n=plates.force_lab_n @ rotation.T,
+        cop_lab_m=plates.cop_lab_m @ rotation.T,
+        corners_lab_m=plates.corners_lab_m @ rotation.T,
+    )
+
+
+def _in_lab(course: BodyCourse, rotation: Float[np.ndarray, "3 3"]) -> BodyCourse:
+    """Turn the feet of a movement into another lab."""
+    return replace(course, heel_lab_m=course.heel_lab_m @ rotation.T, toe_lab_m=course.toe_lab_m @ rotation.T)
 
 
 def body_course(motion: BodyMotion) -> BodyCourse | None:

@@ -39,13 +39,15 @@ class Reconstruction:
     """Points in the lab, the rig turned with them, and how far the cameras agreed.
 
     ``camera_weight`` is what the robust loss left to each observation (0 where there was none). ``miss_m`` is each
-    observation's reprojection error at the point's depth.
+    observation's reprojection error at the point's depth. ``R_lab_calibrated`` turns the lab as it was calibrated, in which
+    force plates and mats lie, to this one.
     """
 
     rig: Rig
     points: LabPoints
     camera_weight: Float[np.ndarray, "camera frame keypoint"]
     miss_m: Float[np.ndarray, "camera frame keypoint"]
+    R_lab_calibrated: Float[np.ndarray, "3 3"]
 
 
 def synchronize(
@@ -108,12 +110,13 @@ def reconstruct(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionPara
         points=turned[0],
         camera_weight=np.where(confidence > 0, solved.camera_weight.reshape(cameras, frames, names), 0.0),
         miss_m=miss_m,
+        R_lab_calibrated=turned[2],
     )
     return Outcome(reconstruction, judge(reconstruction))
 
 
-def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig]:
-    """Turn the lab about its vertical so that the subject heads towards +X; points and cameras turn together."""
+def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig, Float[np.ndarray, "3 3"]]:
+    """Turn the lab about its vertical so that the subject heads towards +X, points and cameras together; also give the turn."""
     angle = heading_rad(points.of("left_hip"), points.of("right_hip"))
     T_lab_calibrated = transform(rotation_about_y(-angle), np.zeros(3))
     rotation = T_lab_calibrated[:3, :3]
@@ -123,7 +126,7 @@ def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig]:
         xyz_lab_m=apply(T_lab_calibrated, points.xyz_lab_m),
         covariance_m2=rotation @ points.covariance_m2 @ rotation.T,
     )
-    return turned, replace(rig, cameras=cameras)
+    return turned, replace(rig, cameras=cameras), rotation
 
 
 def smooth(keypoints: ImagePoints, raw: Reconstruction, parameters: ReconstructionParameters) -> Outcome[LabPoints]:
