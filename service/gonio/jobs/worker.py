@@ -39,6 +39,8 @@ MAX_TAKEOVERS = 3
 """How many workers a job may kill in one and the same stage."""
 STORE_PATIENCE_S = 280.0
 """How long a worker waits for a store that is out of reach before it gives a job up."""
+STRANDED_EVERY_S = 10.0
+"""How often a worker looks at all active jobs: there can be thousands."""
 OUTAGE_GRACE_S = 10.0
 """How long nobody is taken for dead after an outage of the database, in which all workers lose their locks."""
 SWEEPS_AFTER_END = 3
@@ -110,7 +112,7 @@ class Worker:
             rivers=rivers,
             desk=self.desk,
         )
-        self._careful_until_s = 0.0
+        self._careful_until_s = self._stranded_at_s = 0.0
         self._sweeps_after_end = 0
 
     def alive(self) -> ExitStack:
@@ -169,7 +171,9 @@ class Worker:
                 for workflow in self._queue.pending(owner):
                     self._resume(workflow)
                 shutil.rmtree(self._folders / owner, ignore_errors=True)
-        self._queue_stranded_jobs()
+        if time.monotonic() > self._stranded_at_s:
+            self._queue_stranded_jobs()
+            self._stranded_at_s = time.monotonic() + STRANDED_EVERY_S
 
     def clean_up(self) -> None:
         """Remove the work in progress: what is worth keeping is in the store."""
