@@ -101,6 +101,21 @@ def test_a_lock_that_an_outage_took_is_taken_again(postgres, tmp_path):
             assert not dead
 
 
+def test_a_lock_is_taken_again_also_after_an_outage_that_lasts(postgres, tmp_path):
+    settings = Settings(data_dir=tmp_path, database_url=postgres.new_database())
+    mine, other = open_locks(settings), open_locks(settings)
+    with mine.hold("worker-1"):
+        postgres.stop()
+        for _ in range(2):
+            with pytest.raises(psycopg.OperationalError):
+                mine.renew()
+        postgres.start()
+        assert mine.renew()
+        assert not mine.renew()
+        with other.try_hold("worker-1") as dead:
+            assert not dead
+
+
 def test_what_an_outage_cuts_is_tried_again():
     tries: list[int] = []
 

@@ -74,14 +74,19 @@ class ServerLocks:
         Raises:
             psycopg.OperationalError: The outage isn't over.
         """
+        if self._connection is not None:
+            try:
+                self._ask("SELECT %s IS NOT NULL", "")
+            except psycopg.OperationalError:
+                self._disconnect()
+            else:
+                return False
         try:
-            self._ask("SELECT %s IS NOT NULL", "")
+            for name in self._held:
+                self._take(name)
         except psycopg.OperationalError:
-            self._disconnect()
-        else:
-            return False
-        for name in self._held:
-            self._take(name)
+            self._disconnect()  # or the next call would take the new connection for the one that holds the locks
+            raise
         return True
 
     def _take(self, name: str) -> None:
