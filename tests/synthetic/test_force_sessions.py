@@ -227,6 +227,7 @@ def test_a_stream_that_can_not_be_is_left_aside_and_angles_remain(report_of, sol
     assert report.kinetics is None
     assert report.pressure is not None
     assert not report.pressure.used
+    assert "no torques" in report.verdict.sentence
     assert angles_are_there(report)
 
 
