@@ -37,6 +37,12 @@ def opensim_gait2354() -> Path:
 
 
 @pytest.fixture(scope="session")
+def normative() -> Path:
+    """Published curves of healthy walking."""
+    return _recording("normative")
+
+
+@pytest.fixture(scope="session")
 def vicon_pig() -> Path:
     """C3D files of a marker laboratory; skips where the recordings are not at hand."""
     return _recording("vicon_pig")

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import ezc3d
 import numpy as np
+import pandas as pd
 import pytest
 
 from gonio.bench.walks import torque_errors_nm_kg
 from gonio.demo.virtual import PARAMETERS, PRESSURE_FILE, SUBJECT, film_walk, write_session
 from gonio.errors import InputError
-from gonio.formats.mot import Table, write_mot
+from gonio.formats.force_plates import read_force_plates
+from gonio.formats.mot import Table, read_mot, write_mot
 from gonio.formats.pressure_csv import read_pressure, write_pressure
 from gonio.formats.toml_calibration import write_toml_calibration
 from gonio.kernel.geometry.transforms import rotation_about_y, transform
@@ -110,7 +112,7 @@ def knee_error_nm_kg(trial, report):
     return float(np.sqrt(np.nanmean(error**2)))
 
 
-def test_soles_give_torque_and_their_clock_in_numbers(trial, report_of, soles):
+def test_soles_give_torque_and_their_clock_in_numbers(trial, report_of, soles, tmp_path):
     report = report_of(soles())
     assert report.pressure is not None
     assert report.pressure.used
@@ -119,6 +121,24 @@ def test_soles_give_torque_and_their_clock_in_numbers(trial, report_of, soles):
     assert report.kinetics is not None
     assert "14 walkers" in report.kinetics.coefficients_source
     assert knee_error_nm_kg(trial, report) < 0.15
+    files_hold_the_same(report, tmp_path / "report")
+
+
+def files_hold_the_same(report: GaitReport, folder: Path) -> None:
+    """What was written for OpenSim and for spreadsheets comes back as the report has it."""
+    knee = next(t for t in report.kinetics.torques if (t.joint, t.side) == ("knee", "right"))
+    shown = np.array(knee.values_nm, dtype=float)
+    sto = read_mot(folder / "torques.sto")
+    np.testing.assert_allclose(np.abs(sto.of("knee_angle_r_moment")), np.abs(shown), atol=1e-2)
+    moments = pd.read_csv(folder / "moments.csv")
+    per_kg = np.array(knee.values_nm_kg, dtype=float)
+    np.testing.assert_allclose(moments["right_knee_extension_moment_Nm_per_kg"], per_kg, atol=1e-2)
+    loads = read_force_plates(folder / "forces.mot")
+    up_n = np.array([foot.up_n for foot in report.kinetics.feet], dtype=float).T
+    np.testing.assert_allclose(loads.force_lab_n[..., 1], up_n, atol=1e-2)
+    pressed = np.nan_to_num(up_n) > 100
+    places_m = np.array([foot.cop_x_m for foot in report.kinetics.feet], dtype=float).T
+    np.testing.assert_allclose(loads.cop_lab_m[pressed][:, 0], places_m[pressed], atol=1e-2)
 
 
 def plates_mot(trial: VirtualTrial, path: Path) -> CaptureFile:
@@ -227,6 +247,7 @@ def test_a_stream_that_can_not_be_is_left_aside_and_angles_remain(report_of, sol
     assert report.kinetics is None
     assert report.pressure is not None
     assert not report.pressure.used
+    assert "no torques" in report.verdict.sentence
     assert angles_are_there(report)
 
 

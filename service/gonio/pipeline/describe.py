@@ -79,17 +79,39 @@ class Analysis:
 
 
 SENTENCES: dict[Level, str] = {
-    "good": "The cameras and the body model agree: the angles can be trusted within a few degrees.",
-    "usable": "The angles can be used with care: read the findings first.",
-    "poor": "Don't rest a decision on these angles: something serious is wrong with the recording.",
+    "good": "The cameras and the body model agree: the angles can be trusted within a few degrees{torques}.",
+    "usable": "The angles{torques} can be used with care: read the findings first.",
+    "poor": "Don't rest a decision on these angles{torques}: something serious is wrong with the recording.",
 }
+WITH_TORQUES: dict[Level, str] = {
+    "good": ", the torques within their bands",
+    "usable": " and torques",
+    "poor": " or torques",
+}
+FORCE_STAGES = {"sensors", "pressure", "forces", "dynamics"}
 
 
-def verdict_of(findings: Sequence[Finding]) -> Verdict:
-    """Weigh the findings: a serious one makes the result poor, a warning usable."""
-    severities = {f.severity for f in findings}
-    level: Level = "poor" if "serious" in severities else "usable" if "warning" in severities else "good"
-    return Verdict(level=level, sentence=SENTENCES[level])
+def verdict_of(findings: Sequence[Finding], *, torques: bool = False) -> Verdict:
+    """Weigh the findings: a serious one makes the result poor, a warning usable.
+
+    A serious fault of soles or plates does not touch the angles: where there are no ``torques`` because of it, the rest is
+    usable; where there are, the sentence says what of it is meant.
+    """
+    serious = {f.stage in FORCE_STAGES for f in findings if f.severity == "serious"}
+    if serious == {True} and torques:
+        return Verdict(
+            level="poor",
+            sentence="Don't rest a decision on these torques: something serious is wrong with the forces. The angles don't "
+            "depend on it.",
+        )
+    if serious == {True}:
+        return Verdict(
+            level="usable",
+            sentence="The angles can be used with care; there are no torques, for something serious is wrong with soles or "
+            "plates.",
+        )
+    level: Level = "poor" if serious else "usable" if any(f.severity == "warning" for f in findings) else "good"
+    return Verdict(level=level, sentence=SENTENCES[level].format(torques=WITH_TORQUES[level] if torques else ""))
 
 
 def describe_camera(analysis: Analysis, camera: int) -> CameraReport:
@@ -247,7 +269,7 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
     capture = analysis.capture
     return GaitReport(
         created=datetime.now(UTC).replace(microsecond=0),
-        verdict=verdict_of(findings),
+        verdict=verdict_of(findings, torques=analysis.torques is not None),
         findings=[describe_finding(f) for f in sorted(findings, key=lambda f: order[f.severity])],
         rate_hz=capture.timebase.rate_hz,
         frames=capture.frame_count,

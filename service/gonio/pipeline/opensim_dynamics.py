@@ -69,7 +69,7 @@ def run_dynamics(setup_file: Path, conventions: Conventions = "opensim") -> tupl
     dynamics = solve_dynamics(model, motion.q, motion.velocity, motion.acceleration, wrenches)
     try:
         setup.output_file.parent.mkdir(parents=True, exist_ok=True)
-        write_mot(setup.output_file, table_of_forces(model, motion, dynamics))
+        write_mot(setup.output_file, table_of_torques(model, motion.times_s, dynamics.forces))
     except OSError as error:
         raise InputError(
             f"{setup.output_file.name} can't be written into {setup.output_file.parent.name}: {error.strerror}.",
@@ -78,14 +78,16 @@ def run_dynamics(setup_file: Path, conventions: Conventions = "opensim") -> tupl
     return dynamics, motion, ToolResult((setup.output_file,), remarks + more)
 
 
-def table_of_forces(model: BodyModel, motion: SmoothMotion, dynamics: Dynamics) -> Table:
+def table_of_torques(
+    model: BodyModel, times_s: Float[np.ndarray, " frame"], torques: Float[np.ndarray, "frame coordinate"]
+) -> Table:
     """Make the table as OpenSim writes it: ``_moment`` for turns, ``_force`` for slides."""
     endings = ["moment" if turns else "force" for turns in model.coordinates.rotational]
     return Table(
         name="Inverse Dynamics Generalized Forces",
-        labels=tuple(f"{name}_{ending}" for name, ending in zip(dynamics.coordinate_names, endings, strict=True)),
-        times_s=motion.times_s,
-        values=dynamics.forces,
+        labels=tuple(f"{name}_{ending}" for name, ending in zip(model.coordinates.names, endings, strict=True)),
+        times_s=times_s,
+        values=torques,
         in_degrees=False,
     )
 

@@ -3,21 +3,25 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from gonio.formats.c3d import Event, Side
 from gonio.formats.c3d_writer import write_c3d
-from gonio.formats.curve_tables import write_cycle_table, write_time_table
-from gonio.formats.mot import table_of_motion, write_mot
+from gonio.formats.curve_tables import can_write_parquet, write_cycle_parquet, write_cycle_table, write_time_table
+from gonio.formats.mot import Table, table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.describe import Analysis, describe
+from gonio.pipeline.dynamics import moment_curves
 from gonio.pipeline.gait import angle_curves
 from gonio.pipeline.motion import BodyMotion
+from gonio.pipeline.opensim_dynamics import table_of_torques
 from gonio.pipeline.report_page import render_html
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import ReportFiles
 from gonio.pipeline.viewer import skeleton_of, write_viewer
-from gonio.records import Finding, GaitAnalysis, LabPoints
+from gonio.records import FEET, Finding, GaitAnalysis, GroundForces, LabPoints
 from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
 from gonio.vision.weights import default_cache_dir, ensure_weights
@@ -37,6 +41,7 @@ def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Pa
         others=(
             *write_opensim_files(analysis.points, analysis.motion, analysis.body.file, output_dir),
             *write_laboratory_files(analysis.points, analysis.motion, analysis.gait, output_dir),
+            *write_force_files(analysis, output_dir),
             *write_viewer(analysis, output_dir),
         ),
     )
@@ -54,13 +59,56 @@ def write_opensim_files(points: LabPoints, found: BodyMotion, template: Path, ou
 def write_laboratory_files(
     points: LabPoints, found: BodyMotion, gait: GaitAnalysis, output_dir: Path
 ) -> tuple[Path, ...]:
-    """Write points, angles and events (``trial.c3d``), angles over time (``angles.csv``), and all cycles (``cycles.csv``)."""
+    """Write points, angles and events (``trial.c3d``), angles over time (``angles.csv``), and all cycles (``cycles.csv``).
+
+    Where Apache Arrow is installed, also ``cycles.parquet``.
+    """
     c3d, angles, cycles = (output_dir / name for name in ("trial.c3d", "angles.csv", "cycles.csv"))
     curves = angle_curves(found.motion, found.model)
     write_c3d(c3d, _trajectories(points), {f"{c.side}_{c.quantity}": c.values for c in curves}, _events(gait))
     write_time_table(angles, found.motion.times_s, curves)
     write_cycle_table(cycles, gait)
-    return c3d, angles, cycles
+    if not can_write_parquet():
+        return c3d, angles, cycles
+    parquet = output_dir / "cycles.parquet"
+    write_cycle_parquet(parquet, gait)
+    return c3d, angles, cycles, parquet
+
+
+def write_force_files(analysis: Analysis, output_dir: Path) -> tuple[Path, ...]:
+    """Write the ground's forces (``forces.mot``), all torques (``torques.sto``) and the legs' moments (``moments.csv``).
+
+    The first two are as OpenSim has them: external loads of each foot, and generalized forces named after the coordinates.
+    Nothing without torques.
+    """
+    forces, torques, model = analysis.forces, analysis.torques, analysis.motion.model
+    if forces is None or torques is None:
+        return ()
+    mot, sto, moments = (output_dir / name for name in ("forces.mot", "torques.sto", "moments.csv"))
+    write_mot(mot, table_of_loads(forces))
+    write_mot(sto, table_of_torques(model, torques.times_s, torques.values))
+    write_time_table(moments, torques.times_s, moment_curves(analysis.motion, torques))
+    return mot, sto, moments
+
+
+def table_of_loads(forces: GroundForces) -> Table:
+    """Make the table of external loads: each foot's force, where it acts on the floor, and the moment about the vertical."""
+    labels: list[str] = []
+    columns: list[np.ndarray] = []
+    for foot, side in enumerate(FEET):
+        force_n, moment_nm = forces.wrench[:, foot, :3], forces.wrench[:, foot, 3:]
+        place_m = np.where(forces.contact[:, foot, None], forces.cop_lab_m[:, foot], 0.0)
+        free_nm = moment_nm - np.cross(place_m, force_n)
+        for word, values in (("force_v", force_n), ("force_p", place_m), ("torque_", free_nm)):
+            labels += [f"{side}_ground_{word}{axis}" for axis in "xyz"]
+            columns += list(values.T)
+    return Table(
+        name="Ground reaction",
+        labels=tuple(labels),
+        times_s=forces.times_s,
+        values=np.stack(columns, axis=1),
+        in_degrees=False,
+    )
 
 
 def _trajectories(points: LabPoints) -> Trajectories:

@@ -17,6 +17,7 @@ class Fact(NamedTuple):
 
     label: str
     value: str
+    unit: str
     note: str
 
 
@@ -47,8 +48,8 @@ def key_facts(gait: GaitReportSection) -> list[Fact]:
     facts = [_of_both(by_name, "speed", "Speed"), _of_both(by_name, "cadence", "Cadence")]
     step = by_name.get("step length")
     if step is not None and step.right is not None and step.left is not None:
-        value = f"{step.right.mean:.2f} / {step.left.mean:.2f} m"
-        facts.append(Fact("Step length, right / left", value, f"asymmetry {step.asymmetry_percent:g} %"))
+        value = f"{step.right.mean:.2f} / {step.left.mean:.2f}"
+        facts.append(Fact("Step length, right / left", value, "m", f"asymmetry {step.asymmetry_percent:g} %"))
     facts.append(_peaks(gait, "knee_flexion", "Greatest knee flexion, right / left", "°"))
     facts.append(_peaks(gait, "knee_extension_moment", "Greatest knee moment, right / left", " Nm/kg", 2))
     knees = [c for c in gait.curves if c.quantity == "knee_flexion" and c.deviation is not None]
@@ -58,6 +59,7 @@ def key_facts(gait: GaitReportSection) -> list[Fact]:
             Fact(
                 "Knee off the healthy mean, right / left",
                 f"{right.deviation:.1f}° / {left.deviation:.1f}°",
+                "",
                 "RMS over the cycle",
             )
         )
@@ -87,7 +89,8 @@ def _of_both(parameters: Mapping[str, GaitParameter], name: str, label: str) -> 
     if found is None or found.both is None:
         return None
     note = f"usual {quantity(found.usual, found.unit)}" if found.usual is not None else f"{found.both.count} counted"
-    return Fact(label, quantity(found.both.mean, found.unit), note)
+    value, _, unit = quantity(found.both.mean, found.unit).partition(" ")
+    return Fact(label, value, unit, note)
 
 
 def _peaks(gait: GaitReportSection, name: str, label: str, unit: str, digits: int = 0) -> Fact | None:
@@ -98,8 +101,8 @@ def _peaks(gait: GaitReportSection, name: str, label: str, unit: str, digits: in
         if known:
             peaks[curve.side] = f"{max(known):.{digits}f}{'°' if unit == '°' else ''}"
             healthy = _healthy_peak(curve, unit, digits)
-    value = f"{peaks.get('right', '–')} / {peaks.get('left', '–')}{'' if unit == '°' else unit}"
-    return Fact(label, value, healthy) if peaks else None
+    value = f"{peaks.get('right', '–')} / {peaks.get('left', '–')}"
+    return Fact(label, value, "" if unit == "°" else unit.strip(), healthy) if peaks else None
 
 
 def _healthy_peak(curve: CycleCurve, unit: str, digits: int) -> str:

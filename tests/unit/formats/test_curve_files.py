@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from gonio.formats.c3d import Event, read_c3d
 from gonio.formats.c3d_writer import write_c3d
-from gonio.formats.curve_tables import write_cycle_table, write_time_table
+from gonio.formats.curve_tables import write_cycle_parquet, write_cycle_table, write_time_table
 from gonio.formats.trc import Trajectories
 from gonio.records import CycleCurves, EventTrain, GaitAnalysis, GaitCycle, GaitEvents, Timebase, TimeCurve
 
@@ -74,3 +75,10 @@ def test_all_cycles_stand_in_the_long_table_and_odd_ones_are_marked(tmp_path: Pa
     assert not second["counts"].any()
     assert second["value"].isna().all()
     assert first["start_s"].iloc[0] == 0.5
+    arrow = pytest.importorskip("pyarrow.parquet", reason="Apache Arrow is an extra: gonio[parquet]")
+    write_cycle_parquet(tmp_path / "cycles.parquet", gait)
+    columns = arrow.read_table(tmp_path / "cycles.parquet").to_pydict()
+    assert list(columns) == list(table.columns)
+    assert columns["value"][:101] == list(range(101))
+    assert columns["value"][101:] == [None] * 101
+    assert columns["counts"] == table["counts"].tolist()

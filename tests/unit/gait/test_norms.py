@@ -1,5 +1,6 @@
 """Norms: what the cards hold, and how far a walk is from them."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -82,3 +83,24 @@ def test_scores_are_root_mean_squares() -> None:
     assert np.isnan(gait_variable_score(np.full(101, np.nan), norm))
     assert profile_score([3.0, 4.0, float("nan")]) == pytest.approx(np.sqrt(12.5))
     assert np.isnan(profile_score([]))
+
+
+def test_the_shipped_curves_are_the_published_ones(normative: Path) -> None:
+    adults, children = builtin_norms()
+    with (normative / "angles_adult_Fukuchi2018_treadmill_1.26mps.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for quantity, curve in adults.conditions[0].curves.items():
+        for statistic in ("mean", "sd"):
+            published = [float(row[f"{quantity}_deg_{statistic}"]) for row in rows]
+            np.testing.assert_allclose(getattr(curve, statistic)[::2], published, atol=1e-9)
+    with (normative / "normative_all_long.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["source"] == "Schwartz2008" and row["axis_XYZ"] == "X"]
+    labels = {"flexion": "Angles", "dorsiflexion": "Angles", "moment": "Moment"}
+    for condition in children.conditions:
+        for quantity, curve in condition.curves.items():
+            joint, _, what = quantity.partition("_")
+            label = joint.capitalize() + labels[what.rpartition("_")[2]]
+            own = [row for row in rows if (row["condition"], row["label"]) == (condition.name, label)]
+            # The cards keep three digits.
+            np.testing.assert_allclose(curve.mean[::2], [float(row["mean"]) for row in own], atol=6e-4)
+            np.testing.assert_allclose(curve.sd[::2], [float(row["sd"]) for row in own], atol=6e-4)
