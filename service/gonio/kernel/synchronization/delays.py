@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from gonio.kernel.calibration.bundle import MAX_ITERATIONS, Bundle, adjust_poses
 from gonio.kernel.calibration.person import SAMPLE_HZ, SCALE_M, SIGMA_PX, held_out_error_px
 from gonio.kernel.geometry.cameras import undistort_rig
-from gonio.kernel.synchronization.looks import image_velocity
+from gonio.kernel.synchronization.looks import image_velocity, shift
 from gonio.records import ImagePoints, Rig, record
 
 Status = Literal["synchronous", "corrected", "unknown", "trusted"]
@@ -93,6 +93,24 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
     if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
         lags = _search(streams)
     return _judge(streams, lags, *_resolve(streams, lags))
+
+
+def confirm_delays(
+    rig: Rig, keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"], min_confidence: float
+) -> Synchronization:
+    """Ask the movement whether delays that are known from elsewhere are its own: ``corrected`` if so, else ``unknown``.
+
+    Two cameras can be asked too: nothing is estimated, the poses stay as they are.
+    """
+    keypoints = keypoints.sampled
+    errors: list[float] = []
+    for one in (np.zeros(len(delay_s)), delay_s):
+        shifted = shift(keypoints, one)
+        weight = np.where(shifted.confidence >= min_confidence, shifted.confidence, 0.0)
+        errors.append(held_out_error_px(rig, undistort_rig(rig, shifted.uv_px), weight))
+    before, after = errors
+    found = replace(_unknown(rig), error_before_px=before, error_after_px=after)
+    return replace(found, status="corrected", delay_s=delay_s) if after < (1 - SMALLEST_GAIN) * before else found
 
 
 def trusted(rig: Rig) -> Synchronization:
