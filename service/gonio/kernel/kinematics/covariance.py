@@ -40,6 +40,8 @@ def add_covariance(
     tasks: Tasks,
     xyz_lab_m: Float[np.ndarray, "frame marker 3"],
     covariance_m2: Float[np.ndarray, "frame marker 3 3"],
+    *,
+    whole: bool = True,
 ) -> Motion:
     """Give the motion with the covariance of its coordinates in each frame.
 
@@ -49,6 +51,7 @@ def add_covariance(
         tasks: The tasks it was found with; their ``target_sd`` counts.
         xyz_lab_m: The points it was found from.
         covariance_m2: Their covariances; what is NaN for a point that was seen makes its frame's covariance NaN.
+        whole: Give the covariance; else the standard deviations only.
 
     Returns:
         The motion with its covariance, rad² and m²: NaN where the motion is, 0 for locked coordinates. A coordinate at
@@ -65,23 +68,25 @@ def add_covariance(
         )
     problem = pose_problem(model, tasks, 1e-6, 1)
     q = np.where(np.isnan(motion.values), model.coordinates.default, motion.values)
-    points, noise = (np.array(array, dtype=float, order="C") for array in (xyz_lab_m, covariance_m2))
     weights, target_variance = tasks.marker_weights.copy(), tasks.target_sd**2
-    covariance = np.full((len(q), q.shape[1], q.shape[1]), np.nan)
+    count = q.shape[1]
+    found = np.empty((len(q), count, count) if whole else (len(q), count))
 
     def propagate(start: int, stop: int) -> None:
-        work = make_workspace(problem.tree)
-        for frame in range(start, stop):
-            if motion.status[frame] != TOO_FEW_MARKERS:
-                _propagate(
-                    problem, points[frame], noise[frame], weights, target_variance, q[frame], covariance[frame], work
-                )
+        work, block = make_workspace(problem.tree), slice(start, stop)
+        points, noise = (np.array(array[block], dtype=float, order="C") for array in (xyz_lab_m, covariance_m2))
+        covariance = np.full((stop - start, count, count), np.nan)
+        for row in np.flatnonzero(motion.status[block] != TOO_FEW_MARKERS):
+            _propagate(
+                problem, points[row], noise[row], weights, target_variance, q[start + row], covariance[row], work
+            )
+        unknown = np.isnan(motion.values[block])
+        covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+        found[block] = covariance if whole else np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
 
     over_blocks(propagate, len(q), _BLOCK)
-    unknown = np.isnan(motion.values)
-    covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
-    covariance.setflags(write=False)  # so the record takes it as it is: it is the largest array of a motion
-    return replace(motion, covariance=covariance)
+    found.setflags(write=False)  # so the record takes it as it is
+    return replace(motion, covariance=found) if whole else replace(motion, sd=found)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
