@@ -207,7 +207,9 @@ def _solve_sample(trial: Trial, start: State, progress: _Stages) -> _Solved:
 def _descend(
     trial: Trial, start: State, loss_scale: float, tolerance: float, progress: _Stages, *, shared: bool
 ) -> Found:
-    found = minimise(trial, start, _noise_px, loss_scale, tolerance, progress.iterate, shared=shared)
+    """Go down one stage; after a rough one another follows, which estimates the noise anew."""
+    settles = tolerance < ROUGH_TOLERANCE
+    found = minimise(trial, start, _noise_px, loss_scale, tolerance, progress.iterate, shared=shared, settles=settles)
     progress.finish()
     return found
 
