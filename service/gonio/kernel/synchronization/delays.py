@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from gonio.kernel.calibration.bundle import MAX_ITERATIONS, Bundle, adjust_poses
 from gonio.kernel.calibration.person import SAMPLE_HZ, SCALE_M, SIGMA_PX, held_out_error_px
 from gonio.kernel.geometry.cameras import undistort_rig
-from gonio.kernel.synchronization.looks import image_velocity, shift
+from gonio.kernel.synchronization.looks import shift, smooth_tracks, velocity_of
 from gonio.records import ImagePoints, Rig, record
 
 Status = Literal["synchronous", "corrected", "unknown", "trusted"]
@@ -52,7 +52,11 @@ class Synchronization:
 
 @dataclass(frozen=True)
 class _Streams:
-    """The keypoints on their way through the search: undistorted, weighted, with their image velocities."""
+    """The keypoints on their way through the search: undistorted, smoothed, weighted, with their image velocities.
+
+    Smoothed, because to move raw keypoints by a part of a frame averages their noise away: half a frame then looks better
+    than none, whatever the delay is.
+    """
 
     rig: Rig
     uv_px: Float[np.ndarray, "camera frame keypoint 2"]
@@ -86,8 +90,8 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
     if len(rig.cameras) < 3 or reach < 2:
         return _unknown(rig)
     weight = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)
-    uv_px = undistort_rig(rig, keypoints.uv_px)
-    streams = _Streams(rig, uv_px, image_velocity(uv_px, rate_hz), weight, rate_hz, reach)
+    tracks = smooth_tracks(undistort_rig(rig, keypoints.uv_px), rate_hz)
+    streams = _Streams(rig, tracks, velocity_of(tracks, rate_hz), weight, rate_hz, reach)
     none = np.zeros(len(rig.cameras), dtype=int)
     lags = none
     if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
