@@ -132,12 +132,24 @@ def _propagate(
 
 
 @njit(cache=True, error_model="numpy")
+def _list_moving(jacobian: Array, moving: Array) -> int:
+    """List the columns of a Jacobian (3, coordinate) that are not zero, and give their number."""
+    found = 0
+    for c in range(jacobian.shape[1]):
+        if jacobian[0, c] != 0.0 or jacobian[1, c] != 0.0 or jacobian[2, c] != 0.0:
+            moving[found] = c
+            found += 1
+    return found
+
+
+@njit(cache=True, error_model="numpy")
 def _perturb(
     problem: Problem, observed: Array, noise: Array, weights: Array, target_variance: Array, work: Workspace
 ) -> Array:
     """Give the covariance of the gradient: Σ w² Jᵀ C J / (Σ w)² over the points, W² σ² over the targets."""
     tree, count = problem.tree, len(target_variance)
     middle, jacobian, turned = np.zeros((count, count)), np.empty((3, count)), np.empty((3, count))
+    moving = np.empty(count, dtype=np.int64)  # the coordinates that move a marker: a third of all at most
     total = 0.0
     for marker in range(len(observed)):
         if is_seen(observed[marker]):
@@ -147,13 +159,14 @@ def _perturb(
             jacobian.fill(0.0)
             differentiate_marker(tree, work.nodes, tree.markers[marker], jacobian)
             w = weights[marker] / total
-            for c in range(count):
+            found = _list_moving(jacobian, moving)
+            for c in moving[:found]:
                 for i in range(3):
                     turned[i, c] = 0.0
                     for j in range(3):
                         turned[i, c] += w * w * noise[marker, i, j] * jacobian[j, c]
-            for a in range(count):
-                for b in range(count):
+            for a in moving[:found]:
+                for b in moving[:found]:
                     for i in range(3):
                         middle[a, b] += jacobian[i, a] * turned[i, b]
     for c in range(count):
