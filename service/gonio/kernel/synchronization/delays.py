@@ -52,11 +52,7 @@ class Synchronization:
 
 @dataclass(frozen=True)
 class _Streams:
-    """The keypoints on their way through the search: undistorted, smoothed, weighted, with their image velocities.
-
-    Smoothed, because to move raw keypoints by a part of a frame averages their noise away: half a frame then looks better
-    than none, whatever the delay is.
-    """
+    """The keypoints on their way through the search: undistorted, weighted, with their image velocities."""
 
     rig: Rig
     uv_px: Float[np.ndarray, "camera frame keypoint 2"]
@@ -90,13 +86,20 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
     if len(rig.cameras) < 3 or reach < 2:
         return _unknown(rig)
     weight = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)
-    tracks = smooth_tracks(undistort_rig(rig, keypoints.uv_px), rate_hz)
-    streams = _Streams(rig, tracks, velocity_of(tracks, rate_hz), weight, rate_hz, reach)
+    uv_px = undistort_rig(rig, keypoints.uv_px)
+    smooth_px = smooth_tracks(uv_px, rate_hz)
+    streams = _Streams(rig, uv_px, velocity_of(smooth_px, rate_hz), weight, rate_hz, reach)
     none = np.zeros(len(rig.cameras), dtype=int)
     lags = none
     if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
         lags = _search(streams)
-    return _judge(streams, lags, *_resolve(streams, lags))
+    found = _judge(streams, lags, *_resolve(streams, lags))
+    if found.status != "corrected":
+        return found
+    # To move raw keypoints by a part of a frame averages their noise away: half a frame then looks better than none, whatever
+    # the delay is. Smoothed ones gain nothing by it. Whether anything is known at all the raw ones tell, whose errors are new.
+    rest_s, _ = _resolve(replace(streams, uv_px=smooth_px), lags)
+    return replace(found, delay_s=lags / rate_hz + rest_s)
 
 
 def confirm_delays(
