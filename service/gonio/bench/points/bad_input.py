@@ -24,6 +24,8 @@ SEED = 1
 DARK = slice(144, 204)
 KNOCKED_FRAME, KNOCKED_CAMERA = 150, 2
 KNOCK_RAD, KNOCK_M = 0.02, 0.01
+Index = tuple[int | slice, ...] | slice
+
 BESIDE_S = 0.25
 """How far the edges of a dark second reach: further away the body is as well known as ever."""
 
@@ -68,13 +70,13 @@ def _go(trial: VirtualTrial, points: ImagePoints) -> tuple[dict[str, str], float
     return {finding.code: finding.where for finding in run.findings}, error_mm
 
 
-def _spoilt(points: ImagePoints, where: object, pixels: float | None, confidence: float | None) -> ImagePoints:
+def _spoilt(points: ImagePoints, where: Index, pixels: float | None, confidence: float | None) -> ImagePoints:
     """Overwrite some of the keypoints' places, or their confidences."""
     uv_px, trust = points.uv_px.copy(), points.confidence.copy()
     if pixels is not None:
-        uv_px[where] = pixels  # pyright: ignore[reportArgumentType] - any index
+        uv_px[where] = pixels
     if confidence is not None:
-        trust[where] = confidence  # pyright: ignore[reportArgumentType] - any index
+        trust[where] = confidence
     return replace(points, uv_px=uv_px, confidence=trust)
 
 
