@@ -5,8 +5,9 @@ import pytest
 
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import body_poses, marker_positions
+from gonio.kernel.body.soles import BALL, HEEL, TIP, mark_soles, measure_sole
 from gonio.kernel.virtual_lab import Limp, grow, truth_at, walk
-from gonio.kernel.virtual_lab.feet import BALL, HEEL, TIP, directions, heels_on_floor, mark_soles, measure_sole
+from gonio.kernel.virtual_lab.feet import directions, heels_on_floor
 from gonio.kernel.virtual_lab.harmonics import coordinates_at
 from gonio.records import FEET, BodyModel, Walk, WalkTruth
 from gonio.resources import models_dir

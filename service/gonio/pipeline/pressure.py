@@ -13,11 +13,11 @@ from gonio.formats.pressure_card import MatCard, read_pressure_card
 from gonio.formats.pressure_csv import read_pressure
 from gonio.formats.pressure_mat import FeetOnMat
 from gonio.kernel.body.forward import marker_positions
+from gonio.kernel.body.soles import BALL, HEEL, mark_soles
 from gonio.kernel.dynamics.recursive import solve_dynamics
 from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
 from gonio.kernel.forces.plates import assign_plates
 from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock, is_idle, lacking_share
-from gonio.kernel.virtual_lab.feet import mark_soles
 from gonio.pipeline.body import only_file
 from gonio.pipeline.findings import finding
 from gonio.pipeline.motion import BodyMotion, complete
@@ -176,13 +176,13 @@ def body_course(motion: BodyMotion) -> BodyCourse | None:
         return None
     smooth = differentiate(found.times_s, q, CUTOFF_HZ)
     whole = solve_dynamics(model, smooth.q, smooth.velocity, smooth.acceleration)
-    places_m = marker_positions(mark_soles(model), smooth.q)
+    places_m = marker_positions(mark_soles(model), smooth.q).reshape(len(smooth.q), len(FEET), -1, 3)
     return BodyCourse(
         times_s=smooth.times_s,
         need_n=whole.net_force_n[:, 1],
         com_lab_m=whole.com_lab_m,
-        heel_lab_m=places_m[:, [0, 4]],
-        toe_lab_m=places_m[:, [1, 5]],
+        heel_lab_m=places_m[:, :, HEEL],
+        toe_lab_m=places_m[:, :, BALL],
         weight_n=model.weight_n,
     )
 

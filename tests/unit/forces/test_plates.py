@@ -11,9 +11,9 @@ from gonio.formats.c3d import read_c3d
 from gonio.formats.force_plates import read_force_plates
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import marker_positions
+from gonio.kernel.body.soles import mark_soles
 from gonio.kernel.forces.plates import assign_plates
 from gonio.kernel.virtual_lab import grow, truth_at, walk
-from gonio.kernel.virtual_lab.feet import mark_soles
 from gonio.records import ForcePlates
 from gonio.resources import models_dir
 

@@ -7,12 +7,12 @@ import pytest
 
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import marker_positions
+from gonio.kernel.body.soles import mark_soles
 from gonio.kernel.dynamics.recursive import solve_dynamics
 from gonio.kernel.dynamics.zero_lag import differentiate
 from gonio.kernel.synchronization.pressure import LARGEST_SD_S, BodyCourse, find_clock
 from gonio.kernel.virtual_lab import SOLES, grow, press, truth_at, walk
 from gonio.kernel.virtual_lab.chance import correlated
-from gonio.kernel.virtual_lab.feet import mark_soles
 from gonio.records import FootPressure
 from gonio.resources import models_dir
 

@@ -7,8 +7,8 @@ import pytest
 
 from gonio.errors import InputError
 from gonio.kernel.body.forward import body_poses
+from gonio.kernel.body.soles import measure_sole
 from gonio.kernel.virtual_lab import SOLES, SoleErrors, press, truth_at
-from gonio.kernel.virtual_lab.feet import measure_sole
 from gonio.kernel.virtual_lab.soles import TOE_SHARE, cop_on_soles
 from gonio.records import FEET
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
 from gonio.errors import SolverError
-from gonio.kernel.virtual_lab.feet import Sole, mark_soles
+from gonio.kernel.body.soles import Sole, mark_soles
 from gonio.kernel.virtual_lab.harmonics import ORDERS, Basis, Course, harmonic_basis
 from gonio.kernel.virtual_lab.terms import Term, carry, clear, see_soles, stand
 from gonio.kernel.virtual_lab.wanted import Wanted, spread

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
+from gonio.kernel.body.soles import measure_sole
 from gonio.kernel.dynamics.recursive import Dynamics
-from gonio.kernel.virtual_lab.feet import load_shares, measure_sole
+from gonio.kernel.virtual_lab.feet import load_shares
 from gonio.kernel.virtual_lab.normal_gait import NormalGait, normal_gait
 from gonio.kernel.virtual_lab.steps import pace_of
 from gonio.kernel.virtual_lab.wanted import TOWARDS_BODY, cop_lead, normal_phase

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from gonio.errors import InputError
 from gonio.kernel.body.forward import body_poses
+from gonio.kernel.body.soles import measure_sole
 from gonio.kernel.virtual_lab.chance import correlated, spells, stream
-from gonio.kernel.virtual_lab.feet import measure_sole
 from gonio.kernel.virtual_lab.walker import truth_at
 from gonio.records import FEET, BodyModel, FootPressure, VirtualPressure, Walk
 

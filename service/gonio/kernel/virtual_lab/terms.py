@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.body.forward import marker_jacobian, marker_positions
+from gonio.kernel.body.soles import BALL, EDGE, HEEL, TIP, Sole
 from gonio.kernel.dynamics.recursive import Dynamics, solve_dynamics
-from gonio.kernel.virtual_lab.feet import BALL, EDGE, HEEL, TIP, Sole, directions, heels_on_floor, load_shares
+from gonio.kernel.virtual_lab.feet import directions, heels_on_floor, load_shares
 from gonio.kernel.virtual_lab.harmonics import Course
 from gonio.kernel.virtual_lab.wanted import Wanted
 from gonio.records import FEET, BodyModel, Steps
@@ -52,7 +53,7 @@ class Soles(NamedTuple):
 
 
 def see_soles(marked: BodyModel, q: Float[np.ndarray, "node coordinate"], free: Int[np.ndarray, " free"]) -> Soles:
-    """Find the points that :func:`gonio.kernel.virtual_lab.feet.mark_soles` has put on a body."""
+    """Find the points that :func:`gonio.kernel.body.soles.mark_soles` has put on a body."""
     shape = (len(q), len(FEET), 4, 3)
     jacobian = marker_jacobian(marked, q)[..., free]
     return Soles(marker_positions(marked, q).reshape(shape), jacobian.reshape(*shape, len(free)))

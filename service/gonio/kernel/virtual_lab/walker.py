@@ -6,8 +6,8 @@ from jaxtyping import Float
 from gonio.errors import InputError
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.scaling import scale_model
+from gonio.kernel.body.soles import measure_sole
 from gonio.kernel.dynamics.recursive import Wrench, solve_dynamics
-from gonio.kernel.virtual_lab.feet import measure_sole
 from gonio.kernel.virtual_lab.fit import fit_harmonics, node_phases
 from gonio.kernel.virtual_lab.ground import share_out
 from gonio.kernel.virtual_lab.harmonics import coordinates_at

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
-from gonio.kernel.virtual_lab.feet import Sole, directions, heels_on_floor, load_shares
+from gonio.kernel.body.soles import Sole
+from gonio.kernel.virtual_lab.feet import directions, heels_on_floor, load_shares
 from gonio.kernel.virtual_lab.harmonics import ORDERS
 from gonio.kernel.virtual_lab.normal_gait import NormalGait
 from gonio.kernel.virtual_lab.steps import Limp, leg_length_m
