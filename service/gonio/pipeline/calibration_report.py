@@ -27,6 +27,7 @@ NAMES = {
     "unconnected": "Connected with the others",
     "halves_missing": "Can be verified",
     "held_out_px": "Miss in unseen pictures",
+    "noise_px": "Noise of a corner",
     "camera_bias_px": "Worst camera's offset",
     "length_bias_pct": "Squares' length",
     "anisotropy_pct": "Across against down",

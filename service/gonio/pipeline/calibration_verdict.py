@@ -22,6 +22,7 @@ WORDS: dict[str, Say] = {
     "unconnected": lambda j: finding("camera-unconnected", where=j.where),
     "halves_missing": lambda j: finding("calibration-unverified"),
     "held_out_px": lambda j: finding("calibration-inexact", value=j.value, severity=_severity(j)),
+    "noise_px": lambda j: finding("corners-noisy", value=j.value, severity=_severity(j)),
     "camera_bias_px": lambda j: finding("calibration-biased", where=j.where, value=j.value, severity=_severity(j)),
     "length_bias_pct": lambda j: finding("squares-wrong", value=j.value, severity=_severity(j)),
     "anisotropy_pct": lambda j: finding("board-stretched", value=j.value, severity=_severity(j)),

@@ -1,8 +1,15 @@
-"""The findings about a trial's lab and clocks: a part of the table in :mod:`gonio.pipeline.findings`."""
+"""The findings about a trial's lab and clocks, and a board's corners: a part of the table in :mod:`gonio.pipeline.findings`."""
 
 from gonio.pipeline.finding_kind import Kind
 
 LAB_KINDS: dict[str, Kind] = {
+    "corners-noisy": Kind(
+        "warning",
+        "verdict",
+        "In pictures that were not used, the board's corners scatter by {value:.2f} px.",
+        "Light the room, use a short exposure and the camera's best quality, and hold the board flat and nearer.",
+        "px",
+    ),
     "lab-from-walker": Kind(
         "info",
         "triangulation",

@@ -12,7 +12,7 @@ from gonio.errors import CaptureError
 from gonio.formats.calibration import intrinsics_of
 from gonio.kernel.calibration.board_terms import CAMERA_UNKNOWNS, DELAY, FOCAL, predict
 from gonio.kernel.calibration.evidence import KnownLength, gather_evidence
-from gonio.kernel.calibration.held_out import baselines_m, solve_halves
+from gonio.kernel.calibration.held_out import baselines_m, measure_boards, solve_halves
 from gonio.kernel.calibration.intrinsics import choose_views, solve_intrinsics
 from gonio.kernel.calibration.rig import solve_rig
 from gonio.kernel.calibration.rig_check import check_rig
@@ -121,6 +121,16 @@ def test_both_halves_agree_about_the_rig(spread):
     np.testing.assert_allclose(found, true, rtol=0.004)  # 0.15 % in 95 % of sessions
 
 
+@pytest.mark.parametrize("cameras", [2, 4])
+def test_noise_is_measured_as_noise_and_not_as_a_wrong_scale(cameras):
+    # The cameras are the true ones. Noise alone made the squares of two cameras seem 1.5 % too long.
+    session = film(7, Filming(cameras=cameras, radius_m=2.5 if cameras == 2 else 3.5, still=True, noise_px=1.5))
+    errors = measure_boards(session.views, session.rig, np.zeros(cameras), np.arange(120))
+    assert errors.noise_px == pytest.approx(1.5, rel=0.1)
+    assert abs(errors.bias) < 0.002
+    assert errors.length_rms_m > 0.005
+
+
 def test_a_good_session_is_not_rejected_and_the_scale_is_checked_where_a_length_is_known(session):
     lengths = [KnownLength("cam1 to cam2", true_m=1.0, found_m=1.02)]
     verdict = judged(session, lengths)
@@ -133,7 +143,7 @@ def test_a_good_session_is_not_rejected_and_the_scale_is_checked_where_a_length_
     [
         (Filming(bump_deg=1.0), "bump", "cam2"),
         (Filming(stretch=0.02), "anisotropy_pct", ""),
-        (Filming(noise_px=1.5), "held_out_px", ""),
+        (Filming(noise_px=1.5), "noise_px", ""),
         (Filming(blind_camera=True), "unconnected", "cam4"),
     ],
 )

@@ -9,15 +9,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.stats import chi2
 
 from gonio.errors import CaptureError, SolverError
 from gonio.kernel.calibration.board_motion import advance
 from gonio.kernel.calibration.board_terms import DELAY
 from gonio.kernel.calibration.rig import RigSolution, solve_part
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
+from gonio.kernel.geometry.transforms import align
 from gonio.kernel.triangulation.points import triangulate
-from gonio.records import BoardViews, Rig, record
+from gonio.records import Board, BoardViews, Rig, record
+
+FEWEST_CORNERS = 4
+"""With three, the board that fits them best goes along with their noise."""
 
 BLOCKS = (6, 8, 10, 14)
 """The recording is cut into so many blocks; more only if a half of it would not hold the cameras together by itself."""
@@ -27,14 +32,18 @@ BLOCKS = (6, 8, 10, 14)
 class BoardErrors:
     """How well cameras measure a board: errors against its true squares, and among the cameras.
 
-    Lengths are between neighbouring corners: ``bias`` their mean error as a share, ``anisotropy`` how much more that is
-    along the rows than down the columns, ``length_rms_m`` their scatter with the bias. ``median_px`` and ``rms_px`` are the
-    cameras' reprojection errors, ``camera_bias_px`` each camera's mean residual (NaN for one that shares no corner).
+    Lengths are between neighbouring corners, ``length_rms_m`` their scatter. ``bias`` is their mean error as a share, measured
+    along the sides of the board that fits a frame's corners best: noise across a side makes its own length longer, by
+    ``σ² / 2 l²`` a direction, and would pass for a wrong scale. ``anisotropy`` is how much more that is along the rows than
+    down the columns. ``median_px`` and ``rms_px`` are the cameras' reprojection errors, ``camera_bias_px`` each camera's mean
+    residual (NaN for one that shares no corner). ``noise_px`` is the corners' standard deviation per axis that the residuals
+    show: two cameras leave a point one residual of four, so that theirs look half as large as those of many.
     """
 
     corners: int
     median_px: float
     rms_px: float
+    noise_px: float
     camera_bias_px: Float[np.ndarray, "camera 2"]
     bias: float
     anisotropy: float
@@ -62,22 +71,24 @@ class _Measured:
     residual_px: Float[np.ndarray, "camera point 2"]
     across: Float[np.ndarray, " pair"]
     down: Float[np.ndarray, " pair_down"]
+    lengths: Float[np.ndarray, " pair_all"]
 
     def summary(self, square_m: float) -> BoardErrors:
         across, down = self.across[np.isfinite(self.across)], self.down[np.isfinite(self.down)]
         error_px = np.linalg.norm(self.residual_px, axis=-1)
         seen = np.isfinite(error_px)
-        every = np.concatenate([across, down])
+        every, lengths = np.concatenate([across, down]), self.lengths[np.isfinite(self.lengths)]
         total = np.where(seen[..., None], self.residual_px, 0.0).sum(axis=1)
         known = bool(len(across) and len(down))
         return BoardErrors(
             corners=int(seen.any(axis=0).sum()),
             median_px=float(np.median(error_px[seen])) if known else np.nan,
             rms_px=float(np.sqrt((error_px[seen] ** 2).mean())) if known else np.nan,
+            noise_px=_noise_px(self.residual_px, seen) if known else np.nan,
             camera_bias_px=total / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)[:, None],
             bias=float(every.mean()) if known else np.nan,
             anisotropy=float(across.mean() - down.mean()) if known else np.nan,
-            length_rms_m=float(np.sqrt((every**2).mean())) * square_m if known else np.nan,
+            length_rms_m=float(np.sqrt((lengths**2).mean())) * square_m if known else np.nan,
         )
 
 
@@ -106,11 +117,37 @@ def _measure(
     seen = np.isfinite(ideal[..., 0]).astype(float)
     solved = triangulate(projection_matrices(rig), focal_lengths_px(rig), ideal, seen, method="reprojection")
     xyz = solved.xyz_lab_m.reshape(len(frames), -1, 3)
+    sides = [xyz[:, pairs[:, 1]] - xyz[:, pairs[:, 0]] for pairs in views.board.neighbours]
+    directions = _directions(xyz, views.board)
+    square_m = views.board.square_m
     across, down = (
-        (np.linalg.norm(xyz[:, pairs[:, 0]] - xyz[:, pairs[:, 1]], axis=-1) / views.board.square_m - 1).ravel()
-        for pairs in views.board.neighbours
+        (np.einsum("fpi,fi->fp", side, directions[:, axis]) / square_m - 1).ravel() for axis, side in enumerate(sides)
     )
-    return _Measured(solved.residual_px, across, down)
+    lengths = np.concatenate([(np.linalg.norm(side, axis=-1) / square_m - 1).ravel() for side in sides])
+    return _Measured(solved.residual_px, across, down, lengths)
+
+
+def _directions(xyz_lab_m: Float[np.ndarray, "frame corner 3"], board: Board) -> Float[np.ndarray, "frame 2 3"]:
+    """Give the directions of rows and columns of the board that fits each frame's corners best; NaN with too few corners."""
+    found = np.full((len(xyz_lab_m), 2, 3), np.nan)
+    for frame, xyz in enumerate(xyz_lab_m):
+        seen = np.isfinite(xyz[:, 0])
+        places = board.corners_board_m[seen]
+        if seen.sum() >= FEWEST_CORNERS and np.linalg.matrix_rank(places[:, :2] - places[0, :2]) == 2:
+            found[frame] = align(places, xyz[seen])[:3, :2].T
+    return found
+
+
+def _noise_px(residual_px: Float[np.ndarray, "camera point 2"], seen: Bool[np.ndarray, "camera point"]) -> float:
+    """Give the corners' standard deviation per axis, from points that n cameras see: ``Σ r² / σ²`` has 2 n − 3 freedoms.
+
+    By each count's median, for which a chi-squared variable's is taken: some corners may be misread altogether.
+    """
+    counts = seen.sum(axis=0)
+    squared = np.where(seen, (residual_px**2).sum(axis=-1), 0.0).sum(axis=0)
+    shared = counts >= 2
+    freedom = 2 * counts[shared] - 3
+    return float(np.sqrt(np.median(squared[shared] / chi2.median(freedom)))) if shared.any() else np.nan
 
 
 def solve_halves(views: BoardViews, solution: RigSolution) -> Halves | None:
@@ -148,6 +185,7 @@ def _compare(
         residual_px=np.concatenate([m.residual_px for m in measured], axis=1),
         across=np.concatenate([m.across for m in measured]),
         down=np.concatenate([m.down for m in measured]),
+        lengths=np.concatenate([m.lengths for m in measured]),
     )
     square_m = views.board.square_m
     a, b = map(baselines_m, rigs)

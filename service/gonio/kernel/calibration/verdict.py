@@ -44,12 +44,16 @@ CRITERIA: dict[str, Criterion] = {
         0.5, 0.7, "px",
         "median reprojection error of corners that the solution had not seen; good sessions reach 0.35 to 0.65",
     ),
+    "noise_px": Criterion(
+        0.8, 1.1, "px",
+        "the noise of a corner, per axis, from unseen pictures, whatever the number of cameras; detectors reach 0.1 to 0.6",
+    ),
     "camera_bias_px": Criterion(
         0.25, 0.35, "px",
         "mean offset of one camera against the others in unseen pictures: it shifts every point that it sees",
     ),
     "length_bias_pct": Criterion(
-        0.2, 0.3, "%", "mean error of the squares' sides in unseen pictures; a good session stays below 0.2"
+        0.2, 0.3, "%", "mean error of the squares' sides in unseen pictures, along the sides; a good session stays below 0.2"
     ),
     "anisotropy_pct": Criterion(
         0.3, 0.5, "%", "squares longer one way than the other: the printer or the paper stretched the board"
@@ -135,6 +139,7 @@ def _judge_held_out(evidence: Evidence) -> list[Judgement]:
     most = int(np.argmax(np.nan_to_num(bias_px / scales, nan=np.inf)))
     return [
         judge_value("held_out_px", errors.median_px, scale=float(np.median(scales))),
+        judge_value("noise_px", errors.noise_px, scale=float(np.median(scales))),
         judge_value("camera_bias_px", float(bias_px[most]), evidence.names[most], scale=float(scales[most])),
         judge_value("length_bias_pct", 100 * abs(errors.bias)),
         judge_value("anisotropy_pct", 100 * abs(errors.anisotropy)),
