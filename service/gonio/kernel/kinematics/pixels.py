@@ -357,7 +357,7 @@ def _describe(
     return _Part(
         q=solved.state.q[keep],
         covariance=covariance[keep],
-        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= 2,
+        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= min(2, len(seen)),
         swapped=solved.swapped[:, keep],
         kept=int(((squared[:, keep] < LOSS**2) & seen).sum()),
         observations=int(seen.sum()),
