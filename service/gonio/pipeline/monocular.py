@@ -37,7 +37,7 @@ from gonio.pipeline.capture import match_videos, read_capture, read_rig
 from gonio.pipeline.describe import Analysis
 from gonio.pipeline.dynamics import find_joint_torques, moment_curves
 from gonio.pipeline.findings import finding
-from gonio.pipeline.forces import find_forces
+from gonio.pipeline.forces import choose_coefficients, find_forces
 from gonio.pipeline.gait import analyse_gait
 from gonio.pipeline.keypoints import (
     DETECTOR,
@@ -118,6 +118,7 @@ def analyse_one_camera(
         ResourceError: Weights are missing.
     """
     chosen = with_file_defaults(parse_parameters(parameters), parameters, capture_files)
+    coefficients = choose_coefficients(capture_files)
     output_dir.mkdir(parents=True, exist_ok=True)
 
     rig = runner("calibration", lambda _: read_camera(capture_files))
@@ -127,9 +128,9 @@ def analyse_one_camera(
     body = runner("scaling", lambda _: scale_to_stature(keypoints.points, chosen.subject, capture_files))
     seen = runner("kinematics", lambda progress: fit_view(body, keypoints.points, capture.rig, chosen, progress))
     motion = seen.motion
-    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen))
-    forces = runner("forces", lambda _: find_forces(motion, measured, chosen))
-    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen))
+    measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen, seen.raw.R_lab_calibrated))
+    forces = runner("forces", lambda _: find_forces(motion, measured, chosen, coefficients))
+    torques = runner("dynamics", lambda _: find_joint_torques(motion, measured, forces, chosen, coefficients))
     moments = moment_curves(motion, torques)
     gait = runner("gait", lambda _: analyse_gait(motion, seen.raw.points.timebase, measured, moments))
 
@@ -145,6 +146,7 @@ def analyse_one_camera(
         body=body,
         motion=motion,
         measured=measured,
+        coefficients=coefficients,
         forces=forces,
         torques=torques,
         gait=gait,
@@ -293,12 +295,12 @@ def fit_view(
     _, placement = start_one_camera(telling, tasks, rig.cameras[0], uv_px, confidence, times_s)
     camera = turn_to(rig.cameras[0], placement)
     start, placement = start_one_camera(telling, tasks, camera, uv_px, confidence, times_s)
-    distance_m = np.linalg.norm(np.median(placement.hips_lab_m, axis=0) - camera.centre_lab_m, keepdims=True)
+    distance_m = np.array([np.linalg.norm(np.median(placement.hips_lab_m, axis=0) - camera.centre_lab_m)])
     turned = replace(rig, cameras=(camera,))
     priors = make_priors(telling, body.markerset, turned, looks.timebase.rate_hz, distance_m)
     fit = fit_one_camera(telling, camera, uv_px, confidence, start, priors, progress)
     view_rad = view_angle_rad(camera, placement)
-    seen = describe_fit(body, fit, points, turned, view_rad)
+    seen = describe_fit(body, fit, points, rig, turned, view_rad)
     return Outcome(seen, judge_view(seen, fit, priors))
 
 
@@ -310,8 +312,13 @@ def turn_to(camera: Camera, placement: Placement) -> Camera:
     return replace(camera, T_lab_cam=T_lab_calibrated @ camera.T_lab_cam)
 
 
-def describe_fit(body: SubjectBody, fit: PixelFit, points: ImagePoints, rig: Rig, view_rad: float) -> OneView:
-    """Give the fit in the words of the river: the motion at the video's rate, and the body's keypoints in the lab."""
+def describe_fit(
+    body: SubjectBody, fit: PixelFit, points: ImagePoints, calibrated: Rig, rig: Rig, view_rad: float
+) -> OneView:
+    """Give the fit in the words of the river: the motion at the video's rate, and the body's keypoints in the lab.
+
+    ``calibrated`` is the rig as it came, ``rig`` the same in the lab that is turned to the subject's heading.
+    """
     count = points.uv_px.shape[1]
     times_s = points.timebase.times_s(count)
     motion = widen(resample(fit.motion, times_s), view_rad)
@@ -339,7 +346,13 @@ def describe_fit(body: SubjectBody, fit: PixelFit, points: ImagePoints, rig: Rig
         residual_px=residual_px,
     )
     miss_m = np.linalg.norm(residual_px, axis=-1) * depth_m[None] / flat.intrinsic_px[0, 0]
-    raw = Reconstruction(rig=rig, points=lab, camera_weight=np.isfinite(miss_m).astype(float), miss_m=miss_m)
+    raw = Reconstruction(
+        rig=rig,
+        points=lab,
+        camera_weight=np.isfinite(miss_m).astype(float),
+        miss_m=miss_m,
+        R_lab_calibrated=flat.T_lab_cam[:3, :3] @ calibrated.cameras[0].T_lab_cam[:3, :3].T,
+    )
     squared = np.square(miss_m[0])
     counts = np.maximum(np.isfinite(squared).sum(axis=1), 1)
     rms_m = np.where(np.isfinite(squared).any(axis=1), np.sqrt(np.nansum(squared, axis=1) / counts), np.nan)

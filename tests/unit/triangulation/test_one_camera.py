@@ -17,7 +17,7 @@ def sightings(swap: bool, absent: slice = slice(0, 0)) -> Sightings:
         shape[:, 1] += 120.0 * person
         for frame in range(FRAMES):
             place = (person + frame) % 2 if swap else person
-            uv_px[0, frame, place] = shape + [start + step * frame, 0.0] + rng.normal(0, 1, shape.shape)
+            uv_px[0, frame, place] = shape + np.array([start + step * frame, 0.0]) + rng.normal(0, 1, shape.shape)
     uv_px[0, absent] = np.nan
     confidence = np.where(np.isfinite(uv_px[..., 0]), 0.9, 0.0)
     names = tuple(f"k{i}" for i in range(KEYPOINTS))
