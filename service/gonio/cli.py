@@ -89,21 +89,25 @@ def analyse(
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Where the report goes. [default: FOLDER/gonio]")] = None,
     parameters: Annotated[Path | None, typer.Option(help="A JSON file of parameters.")] = None,
+    one_camera: Annotated[
+        bool, typer.Option("--one-camera", help="FOLDER holds one camera's recording; give the subject's stature.")
+    ] = False,
 ) -> None:
     """Analyse a folder of recordings without a server."""
-    from gonio.pipeline import analyse
     from gonio.pipeline.folder import find_capture_files
     from gonio.pipeline.report import key_lines, load_report
+    from gonio.pipeline.rivers import RIVERS
     from gonio.pipeline.run import CaptureFile, LocalRunner
 
+    river = RIVERS["human_monocular" if one_camera else "human_multicamera"]
     wanted = _read_parameters(parameters) if parameters else {}
     files = find_capture_files(folder)
     if calibration is not None:
         files = [file for file in files if file.role != "calibration"]
         files.append(CaptureFile(path=calibration, name=calibration.name, role="calibration"))
     with progress_bar(console) as advance:
-        runner = LocalRunner(advance)
-        report = analyse(files, wanted, runner, output or folder / "gonio")
+        runner = LocalRunner(advance, river.shares)
+        report = river.compute(files, wanted, runner, output or folder / "gonio")
     for line in (*key_lines(load_report(report.document)), stage_lines(runner.seconds), f"Report: {report.page}"):
         print(line)
 

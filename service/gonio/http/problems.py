@@ -118,7 +118,9 @@ KINDS: Mapping[str, Kind] = {
     "calibration-missing": Kind(409, "Calibration missing", "An analysis needs the calibration of its cameras."),
     "calibration-ambiguous": Kind(422, "Calibration ambiguous", "There are several calibrations; which one is meant?"),
     "too-few-cameras": Kind(409, "Too few cameras", "A rig is calibrated from the videos of two cameras or more."),
-    "too-few-videos": Kind(409, "Too few videos", "A point needs two cameras to be seen in space."),
+    "too-few-videos": Kind(
+        409, "Too few videos", "A point needs two cameras to be seen in space; a session of one camera needs that one."
+    ),
     "too-many-jobs": Kind(429, "Too many jobs", "The lab has as many jobs waiting as it may, GONIO_JOBS_PER_LAB."),
     "session-busy": Kind(409, "Session busy", "What an analysis reads can't be deleted while it runs."),
     "idempotency-key-reused": Kind(422, "Idempotency key reused", "A key stands for one analysis, for ever."),

@@ -72,10 +72,12 @@ def refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> Non
             hint="Name one of GET /v1/calibrations, or upload that of its cameras; then start the analysis again.",
             code="calibration-missing",
         )
-    if videos < 2:
+    fewest, cameras = (1, "the camera") if kind == "human_monocular" else (2, "at least two calibrated cameras")
+    if videos < fewest:
         raise CaptureError(
-            f"The session has {'no video' if videos == 0 else 'one video'}; the analysis needs at least two.",
-            hint="Upload the videos, or the keypoints, of at least two calibrated cameras, then start the analysis again.",
+            f"The session has {'no video' if videos == 0 else 'one video'}; the analysis needs "
+            f"{'one' if fewest == 1 else 'at least two'}.",
+            hint=f"Upload the videos, or the keypoints, of {cameras}, then start the analysis again.",
             code="too-few-videos",
             videos=videos,
         )

@@ -44,6 +44,7 @@ def check_file_name(name: str) -> None:
 
 ROLES: dict[str, tuple[Role, ...]] = {
     "human_multicamera": get_args(TrialRole),
+    "human_monocular": get_args(TrialRole),
     "calibration": get_args(CalibrationRole),
 }
 """What the files of each kind of session may be."""

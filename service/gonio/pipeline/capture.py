@@ -54,27 +54,32 @@ def judge_calibration(calibration: Calibration | None) -> tuple[Finding, ...]:
     return (finding("calibration-doubtful", where=reasons),)
 
 
-def read_capture(files: Sequence[CaptureFile], rig: Rig, poses_rate_hz: float | None = None) -> Outcome[Capture]:
+def read_capture(
+    files: Sequence[CaptureFile], rig: Rig, poses_rate_hz: float | None = None, fewest: int = 2
+) -> Outcome[Capture]:
     """Match the videos, or the keypoints of another program, to the cameras and find the time that all of them cover.
 
     Args:
         files: The session's files. If some camera's keypoints are among them, all cameras' must be; their videos may be.
         rig: The calibrated cameras.
         poses_rate_hz: The rate of keypoints whose video is not there.
+        fewest: How many cameras must have a video or keypoints.
 
     Raises:
-        CaptureError: ``too-few-videos`` with fewer than two.
+        CaptureError: ``too-few-videos`` with fewer than ``fewest``.
         InputError: ``video-camera-unknown``, ``video-camera-taken``, ``video-size-wrong``, ``video-rates-differ``,
             ``poses-incomplete``, ``poses-rate-missing``, or what opening a file says.
     """
     videos = match_videos([file for file in files if file.role == "video"], rig)
     poses = match_videos([file for file in files if file.role == "keypoints"], rig)
     by_camera = poses or videos
-    if len(by_camera) < 2:
+    if len(by_camera) < fewest:
         kind = "camera with keypoints" if poses else f"video{'' if len(videos) == 1 else 's'}"
+        needed = "a point in space needs two views" if fewest > 1 else "there is nothing to look at"
+        which = f"at least {fewest} calibrated cameras" if fewest > 1 else "the calibrated camera"
         raise CaptureError(
-            f"The session has {len(by_camera)} {kind}; a point in space needs two views.",
-            hint="Upload the synchronized videos, or the keypoints, of at least two calibrated cameras.",
+            f"The session has {len(by_camera)} {kind}; {needed}.",
+            hint=f"Upload the synchronized videos, or the keypoints, of {which}.",
             code="too-few-videos",
         )
     if poses and (lacking := videos.keys() - poses.keys()):

@@ -6,6 +6,7 @@
 from gonio.pipeline.finding_kind import Kind
 from gonio.pipeline.findings_forces import FORCE_KINDS
 from gonio.pipeline.findings_lab import LAB_KINDS
+from gonio.pipeline.findings_monocular import MONOCULAR_KINDS
 from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
 
@@ -442,6 +443,7 @@ KINDS: dict[str, Kind] = {
     **SENSOR_KINDS,
     **LAB_KINDS,
     **FORCE_KINDS,
+    **MONOCULAR_KINDS,
 }
 
 

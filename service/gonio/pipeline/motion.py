@@ -108,7 +108,7 @@ def fit_motion(
     if reason:
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=fit, distrusted=reason)
         return Outcome(found, (*judge_motion(two_step), finding("pixel-fit-distrusted", where=reason)))
-    model = _personalise(body.model, fit)
+    model = personalise(body.model, fit)
     motion = resample(_with_sd_only(fit.motion), two_step.times_s)
     motion = replace(
         motion,
@@ -165,7 +165,7 @@ def _fit_pixels(
     return fit_pixels(model, rig, uv_px, keypoints.confidence[:, :, order], first, priors, progress)
 
 
-def _personalise(model: BodyModel, fit: PixelFit) -> BodyModel:
+def personalise(model: BodyModel, fit: PixelFit) -> BodyModel:
     """Give the whole model, all its markers, the geometry that the fit found with some of them."""
     scaled = scale_model(model, np.repeat(fit.body_factor[:, None], 3, axis=1))
     location = scaled.markers.location_body_m.copy()

@@ -16,7 +16,7 @@ from gonio.records import Finding
 
 T = TypeVar("T")
 
-SessionKind = Literal["human_multicamera", "calibration"]
+SessionKind = Literal["human_multicamera", "human_monocular", "calibration"]
 
 TrialRole = Literal[
     "video",

@@ -366,7 +366,7 @@ def _describe(
     covariance[:, trial.free[:, None], trial.free] = found[keep]
     return _Part(
         q=solved.state.q[keep],
-        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= 2,
+        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= min(2, len(seen)),
         swapped=solved.swapped[:, keep],
         kept=int(((squared[:, keep] < LOSS**2) & seen).sum()),
         observations=int(seen.sum()),

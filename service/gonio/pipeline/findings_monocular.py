@@ -1,0 +1,44 @@
+"""The findings about recordings of one camera: a part of the table in :mod:`gonio.pipeline.findings`."""
+
+from gonio.pipeline.finding_kind import Kind
+
+MONOCULAR_KINDS: dict[str, Kind] = {
+    "one-camera": Kind(
+        "info",
+        "kinematics",
+        "One camera saw this trial, {value:.0f}° away from the side: depth comes from the floor and the subject's stature, "
+        "and nothing checks it. The error bands count with that.",
+        "Film straight from the side; two or more calibrated cameras measure what one can only infer.",
+        "deg",
+    ),
+    "view-unreliable": Kind(
+        "warning",
+        "kinematics",
+        "This view can't measure the {where}: it moves towards the camera and away, and its standard deviation is "
+        "{value:.0f}°.",
+        "Don't use this angle. Film from the side, or with several cameras.",
+        "deg",
+    ),
+    "stature-unknown": Kind(
+        "warning",
+        "scaling",
+        "The subject's stature is not known; that of the model was used ({value:.2f} m). With one camera all lengths, steps "
+        "and speeds rest on it.",
+        "Give the subject's stature.",
+        "m",
+    ),
+    "monocular-fit-doubtful": Kind(
+        "serious",
+        "kinematics",
+        "The body that was fitted to the camera's keypoints can't be believed: {where}.",
+        "Look at the picture in the report: does the skeleton lie on the body? Is the calibration that of this camera, with "
+        "the floor at y = 0, and the stature right?",
+    ),
+    "one-camera-bystanders": Kind(
+        "info",
+        "keypoints",
+        "{value:.0f} other people were seen; the subject is {where}.",
+        "Is the skeleton in the picture on the right person? If not, ask for keypoints.person = 2.",
+        "people",
+    ),
+}
