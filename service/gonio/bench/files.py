@@ -11,7 +11,7 @@ from gonio.bench.peers import peer_python, run_in_peer
 from gonio.errors import GonioError
 from gonio.kernel.body.forward import marker_positions
 from gonio.pipeline.body import scale_to_subject
-from gonio.pipeline.motion import BodyMotion, fit_points
+from gonio.pipeline.motion import BodyMotion, solve_points
 from gonio.pipeline.params import Subject
 from gonio.pipeline.report import write_opensim_files
 from gonio.records import MEASURED, LabPoints, Motion, Timebase
@@ -35,7 +35,7 @@ def run(build_dir: Path) -> dict[str, Any]:
 def _measure(bench: Bench, python: Path, folder: Path) -> None:
     points = _walk()
     body = scale_to_subject(points, Subject(mass_kg=72.6, sex="male")).value
-    motion = fit_points(body, points)
+    motion = solve_points(body, points)
     found = BodyMotion(motion=motion, model=body.model, two_step=motion, fit=None, distrusted="")
     trc, mot, osim = write_opensim_files(points, found, body.file, folder)
     run_in_peer(python, "opensim_files", trc, mot, osim, folder / "read.npz")

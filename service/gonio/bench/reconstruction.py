@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gonio.bench import Bench
+from gonio.bench.points.bad_input import measure_bad_input
 from gonio.bench.points.balancing import measure_balancing
 from gonio.bench.points.ladder import measure_error_bars, measure_ladder, measure_mismatch
 from gonio.bench.points.outliers import measure_outliers
@@ -24,6 +25,7 @@ def run(build_dir: Path) -> dict[str, Any]:
     measure_ladder(bench)
     measure_mismatch(bench)
     measure_error_bars(bench)
+    measure_bad_input(bench)
     parts: dict[str, Callable[[], None]] = {
         "burst_*, clean_*": lambda: measure_outliers(bench, build_dir),
         "real_*, sync_*": lambda: measure_balancing(bench, build_dir),

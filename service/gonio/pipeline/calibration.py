@@ -1,6 +1,7 @@
 """The river of a calibration, from the videos of a board to a rig that is judged. Read it from top to bottom."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,7 +19,7 @@ from gonio.pipeline.boards import describe_board
 from gonio.pipeline.calibration_files import only_file, pictures_of, read_card
 from gonio.pipeline.calibration_lab import earlier_lab, find_lab, read_points
 from gonio.pipeline.calibration_recording import find_floor_boards, find_lens_boards, find_sweep, read_sweep
-from gonio.pipeline.calibration_report import write_calibration_report
+from gonio.pipeline.calibration_report import check_rows, write_calibration_report
 from gonio.pipeline.calibration_verdict import find_lengths, judge_rig
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import parse_calibration_parameters
@@ -172,14 +173,22 @@ def compare(views: BoardViews, earlier: Calibration) -> Outcome[RigCheck]:
     optics = tuple(intrinsics_of(camera, "the earlier calibration") for camera in earlier.rig.cameras)
     check = check_rig(views, optics, earlier.rig)
     findings = [
-        finding("camera-displaced", where=name, value=float(shift))
-        for name, shift, moved in zip(check.camera_names, check.shift_px, check.moved, strict=True)
+        _displaced(name, float(shift), row)
+        for name, shift, moved, row in zip(
+            check.camera_names, check.shift_px, check.moved, check_rows(check), strict=True
+        )
         if moved
     ]
     findings += [finding("camera-not-checked", where=n) for n in earlier.rig.names if n not in check.camera_names]
     if not findings:
         findings.append(finding("cameras-steady", value=float(check.shift_px.max())))
     return Outcome(check, tuple(findings))
+
+
+def _displaced(name: str, shift_px: float, row: Mapping[str, str]) -> Finding:
+    """Name a camera that moved, and say how far with its error bar."""
+    told = finding("camera-displaced", where=name, value=shift_px)
+    return replace(told, message=f"{told.message} It turned by {row['turned']} and moved by {row['shifted']}.")
 
 
 def unseen_optics(name: str, image_size_px: tuple[int, int]) -> Intrinsics:

@@ -16,11 +16,11 @@ BLUE, VERMILLION, GREY = "#0072B2", "#D55E00", "#888888"
 MOST_POINTS = 1500
 
 
-def plan_figure(rig: Rig, corners_lab_m: Float[np.ndarray, "corner 3"]) -> str:
-    """Draw the room from above and from the side: cameras, where they look, and where the board was; X forward, Y up."""
+def plan_figure(rig: Rig, seen_lab_m: Float[np.ndarray, "point 3"], what: str = "board") -> str:
+    """Draw the room from above and from the side: cameras, where they look, and what they saw; X forward, Y up."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     FigureCanvasSVG(figure)
-    shown = corners_lab_m[:: max(1, len(corners_lab_m) // MOST_POINTS)]
+    shown = seen_lab_m[:: max(1, len(seen_lab_m) // MOST_POINTS)]
     extent = max(float(np.ptp(np.array([c.centre_lab_m for c in rig.cameras]), axis=0).max()), 1.0)
     views = (("From above", 0, 2, "Z, to the right (m)"), ("From the side", 0, 1, "Y, up (m)"))
     for axes, (title, across, along, label) in zip(figure.subplots(1, 2), views, strict=True):
@@ -46,7 +46,7 @@ def plan_figure(rig: Rig, corners_lab_m: Float[np.ndarray, "corner 3"]) -> str:
         axes.grid(visible=True, color="#e4e4e4", linewidth=0.6)
     if figure.axes:
         figure.axes[0].invert_yaxis()  # seen from above, the right hand of one who walks along X is below
-    return svg_text(figure, "Cameras and board in the lab, from above and from the side; the arrow shows forward")
+    return svg_text(figure, f"Cameras and {what} in the lab, from above and from the side; the arrow shows forward")
 
 
 def coverage_figure(views: BoardViews, names: Sequence[str]) -> str:

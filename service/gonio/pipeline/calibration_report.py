@@ -1,5 +1,6 @@
 """Stage ``calibration-report``: a calibration written down for gonio, for other programs and for people."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -50,22 +51,29 @@ def write_calibration_report(
     check: RigCheck | None,
     output_dir: Path,
 ) -> ReportFiles:
-    """Write ``calibration.json``, the same for other programs (Pose2Sim, Qualisys, OpenCV) and ``calibration.html``."""
+    """Write ``calibration.json``, the same for other programs (Pose2Sim, Qualisys, OpenCV), the pictures and the page."""
     paths = [output_dir / name for name in FILES]
     for path in paths:
         write_calibration_as(path, calibration)
-    page = output_dir / "calibration.html"
-    page.write_text(render(calibration, views, solution, check), encoding="utf-8")
-    return ReportFiles(document=paths[0], page=page, others=tuple(paths[1:]))
-
-
-def render(calibration: Calibration, views: BoardViews, solution: RigSolution, check: RigCheck | None) -> str:
-    """Render the calibration as one self-contained page; the worst findings come first."""
-    order = {"serious": 0, "warning": 1, "info": 2}
     corners = [
         apply(calibration.lab.T_lab_ref @ T_ref_board, views.board.corners_board_m)
         for T_ref_board in solution.scene.Ts_ref_board
     ]
+    pictures = {
+        "plan": plan_figure(calibration.rig, np.concatenate(corners)),
+        "coverage": coverage_figure(views, [views.camera_names[c] for c in solution.cameras]),
+    }
+    for name, svg in pictures.items():
+        paths.append(output_dir / f"{name}.svg")
+        paths[-1].write_text(svg, encoding="utf-8")
+    page = output_dir / "calibration.html"
+    page.write_text(render(calibration, check, pictures), encoding="utf-8")
+    return ReportFiles(document=paths[0], page=page, others=tuple(paths[1:]))
+
+
+def render(calibration: Calibration, check: RigCheck | None, pictures: Mapping[str, str]) -> str:
+    """Render the calibration as one self-contained page; the worst findings come first. ``pictures`` are SVG texts."""
+    order = {"serious": 0, "warning": 1, "info": 2}
     environment = Environment(
         loader=PackageLoader("gonio.pipeline", "templates"),
         autoescape=True,
@@ -81,8 +89,8 @@ def render(calibration: Calibration, views: BoardViews, solution: RigSolution, c
         check=[] if check is None else check_rows(check),
         criteria=[criterion_row(judgement) for judgement in calibration.verdict.judgements],
         cameras=[camera_row(calibration, index) for index in range(len(calibration.rig.cameras))],
-        plan_svg=plan_figure(calibration.rig, np.concatenate(corners)),
-        coverage_svg=coverage_figure(views, [views.camera_names[c] for c in solution.cameras]),
+        plan_svg=pictures["plan"],
+        coverage_svg=pictures["coverage"],
     )
 
 
@@ -107,9 +115,9 @@ def check_rows(check: RigCheck) -> list[dict[str, str]]:
     return [
         {
             "name": name,
-            "off": f"{check.shift_px[camera]:.2f} px",
-            "turned": f"{np.rad2deg(check.turned_rad[camera]):.2f}°",
-            "shifted": f"{1000 * check.shifted_m[camera]:.0f} mm",
+            "off": f"{check.shift_px[camera]:.2f} ± {check.shift_sd_px[camera]:.2f} px",
+            "turned": f"{np.rad2deg(check.turned_rad[camera]):.2f} ± {np.rad2deg(check.turned_sd_rad[camera]):.2f}°",
+            "shifted": f"{1000 * check.shifted_m[camera]:.0f} ± {1000 * check.shifted_sd_m[camera]:.0f} mm",
             "css": "poor" if check.moved[camera] else "good",
             "state": "has moved" if check.moved[camera] else "stands as it stood",
         }

@@ -18,7 +18,7 @@ from gonio.kernel.forces.torque import (
 from gonio.kernel.kinematics.clinical import ClinicalAngle, find_clinical_angles
 from gonio.pipeline.findings import finding
 from gonio.pipeline.forces import CUTOFF_HZ, SLOW_HZ, force_choice, smooth_motion
-from gonio.pipeline.motion import BodyMotion, complete
+from gonio.pipeline.motion import BodyMotion, complete, covariance_of
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.pressure import Measured
 from gonio.pipeline.run import Outcome
@@ -62,7 +62,7 @@ def find_joint_torques(
         choice = force_choice(parameters.forces, forces.task)
         wrenches_of = doubtful_soles(measured.pressure, model, coefficients, choice, doubt)
     smoother = partial(differentiate, cutoff_hz=CUTOFF_HZ.get(forces.task, SLOW_HZ))
-    rest, covariance = None, found.motion.covariance
+    rest, covariance = None, covariance_of(found)
     if covariance is not None:  # without it nobody knows how wide a band is
         rest = sample_errors(model, found.motion.times_s, q, covariance, smoother, wrenches_of)
     torques = find_torques(model, motion, forces, coefficients, rest)

@@ -5,6 +5,7 @@
 
 from gonio.pipeline.finding_kind import Kind
 from gonio.pipeline.findings_forces import FORCE_KINDS
+from gonio.pipeline.findings_lab import LAB_KINDS
 from gonio.pipeline.findings_sensors import SENSOR_KINDS
 from gonio.records import Finding, Severity
 
@@ -439,6 +440,7 @@ KINDS: dict[str, Kind] = {
         "ms",
     ),
     **SENSOR_KINDS,
+    **LAB_KINDS,
     **FORCE_KINDS,
 }
 

@@ -88,10 +88,11 @@ def fit_motion(
         parameters: What the request chose.
         progress: Is told the done share.
     """
-    two_step = fit_points(body, points)
+    two_step = solve_points(body, points)
     looks = thin(keypoints, look_stride(points.timebase.rate_hz, parameters.keypoints.rate))
     enough = min(int(np.isfinite(two_step.values).all(axis=1).sum()), looks.uv_px.shape[1]) >= FEWEST_FRAMES
     if parameters.kinematics.method == "points" or not enough:
+        two_step = add_error_bars(two_step, body, points, whole=True)
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=None, distrusted="")
         return Outcome(found, judge_motion(two_step))
     telling = keep_markers(body.model, np.flatnonzero(body.tasks.marker_weights >= LEAST_WEIGHT))
@@ -103,11 +104,12 @@ def fit_motion(
     )
     fit = _fit_pixels(telling, seen, rig, two_step, priors, progress)
     reason = distrust(fit, priors)
+    two_step = add_error_bars(two_step, body, points, whole=bool(reason))
     if reason:
         found = BodyMotion(motion=two_step, model=body.model, two_step=two_step, fit=fit, distrusted=reason)
         return Outcome(found, (*judge_motion(two_step), finding("pixel-fit-distrusted", where=reason)))
     model = _personalise(body.model, fit)
-    motion = resample(fit.motion, two_step.times_s)
+    motion = resample(_with_sd_only(fit.motion), two_step.times_s)
     motion = replace(
         motion,
         values=np.where(_never_known(two_step), np.nan, motion.values),
@@ -125,12 +127,33 @@ def complete(found: BodyMotion) -> Float[np.ndarray, "frame coordinate"]:
     return q
 
 
-def fit_points(body: SubjectBody, points: LabPoints) -> Motion:
+def covariance_of(found: BodyMotion) -> Float[np.ndarray, "frame coordinate coordinate"] | None:
+    """Give the covariance of the reported coordinates.
+
+    That of a fit to the pixels is kept at the rate of its looks, and interpolated where it is asked for.
+    """
+    if found.motion.covariance is not None or found.fit is None:
+        return found.motion.covariance
+    return resample(found.fit.motion, found.motion.times_s).covariance
+
+
+def _with_sd_only(motion: Motion) -> Motion:
+    if motion.covariance is None:
+        return motion
+    return replace(motion, covariance=None, sd=np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2)))
+
+
+def solve_points(body: SubjectBody, points: LabPoints) -> Motion:
     """Find the joint angles of every frame from the smoothed points, one frame after the other."""
     observed = in_marker_order(body.model, points)
-    motion = solve_motion(body.model, body.tasks, observed, points.timebase.times_s(len(observed)))
+    return solve_motion(body.model, body.tasks, observed, points.timebase.times_s(len(observed)))
+
+
+def add_error_bars(motion: Motion, body: SubjectBody, points: LabPoints, *, whole: bool) -> Motion:
+    """Give the motion of :func:`solve_points` with its covariance, or else with the standard deviations only."""
     noise = points.covariance_m2[:, [points.index(name) for name in body.model.markers.names]]
-    return add_covariance(motion, body.model, body.tasks, observed, noise)
+    observed = in_marker_order(body.model, points)
+    return add_covariance(motion, body.model, body.tasks, observed, noise, whole=whole)
 
 
 def _fit_pixels(

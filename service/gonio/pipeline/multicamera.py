@@ -15,9 +15,10 @@ from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters, with_file_defaults
 from gonio.pipeline.pressure import measure_forces, read_sensors
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
+from gonio.pipeline.reconstruction import calibrated_delays, reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import write_report
 from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
+from gonio.pipeline.trial_lab import lab_source
 
 
 def analyse(
@@ -47,10 +48,14 @@ def analyse(
     sensors = runner("sensors", lambda _: read_sensors(capture_files, capture.frame_count / capture.timebase.rate_hz))
     keypoints = runner("keypoints", lambda progress: find_keypoints(capture, chosen, output_dir, progress))
     checked = runner("checks", lambda _: check_keypoints(keypoints.points, capture.rig, chosen.reconstruction))
-    delays, synchronous = runner("synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction))
+    known_s = calibrated_delays(capture_files)
+    delays, synchronous = runner(
+        "synchronization", lambda _: synchronize(checked, capture.rig, chosen.reconstruction, known_s)
+    )
     steady = runner("tripods", lambda _: leave_out_moved_cameras(synchronous, capture.rig, chosen.reconstruction))
     refined = runner("cameras", lambda _: refine_cameras(steady, capture.rig, chosen.reconstruction))
-    raw = runner("triangulation", lambda _: reconstruct(steady, refined.rig, chosen.reconstruction))
+    source = lab_source(capture_files)
+    raw = runner("triangulation", lambda _: reconstruct(steady, refined.rig, chosen.reconstruction, source))
     points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))

@@ -27,6 +27,8 @@ class Subject:
     sex: Annotated[Literal["female", "male"], Field(description="Chooses the table of segment masses.")] | None = None
 
 
+LabChoice = Literal["auto", "calibration", "walker"]
+
 LookRate = Literal["exact", "default", "fast"]
 
 
@@ -109,6 +111,13 @@ class ReconstructionParameters:
             description="Correct the cameras' poses on the subject's own movement, if that lowers the held-out error."
         ),
     ] = True
+    lab: Annotated[
+        LabChoice,
+        Field(
+            description="Where floor and vertical come from. `auto`: from the calibration, unless it only guessed them or the "
+            "subject would walk on a wall in it; then from the subject's own steps. `calibration` and `walker`: always."
+        ),
+    ] = "auto"
     smoothing: Annotated[
         Literal["fusion", "median"],
         Field(

@@ -1,23 +1,32 @@
 """From keypoints in the images to points in the lab, judged: stages ``synchronization`` to ``smoothing``."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
+from gonio.formats.calibration import read_own_calibration
 from gonio.kernel.calibration.lab_frame import heading_rad
 from gonio.kernel.calibration.person import PersonRefinement, refine_on_person, unrefined
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices, undistort_rig
-from gonio.kernel.geometry.transforms import apply, rotation_about_y, transform
+from gonio.kernel.geometry.transforms import rotation_about_y, transform
 from gonio.kernel.smoothing.filters import low_pass, median_filter, median_window
-from gonio.kernel.synchronization.delays import Synchronization, estimate_delays, trusted
+from gonio.kernel.synchronization.delays import (
+    SMALLEST_DELAY_FRAMES,
+    Synchronization,
+    confirm_delays,
+    estimate_delays,
+    trusted,
+)
 from gonio.kernel.synchronization.looks import shift
 from gonio.kernel.triangulation.fusion import fuse, mark_spans
 from gonio.kernel.triangulation.points import triangulate
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import ReconstructionParameters
-from gonio.pipeline.run import Outcome
-from gonio.records import MEASURED, MISSING, Finding, ImagePoints, LabPoints, Rig, record
+from gonio.pipeline.run import CaptureFile, Outcome
+from gonio.pipeline.trial_lab import find_trial_lab, move_lab
+from gonio.records import MEASURED, MISSING, Finding, ImagePoints, LabPoints, LabSource, Rig, record
 
 SEGMENTS: dict[str, tuple[str, str]] = {
     f"{side} {segment}": (f"{side}_{start}", f"{side}_{end}")
@@ -51,21 +60,51 @@ class Reconstruction:
 
 
 def synchronize(
-    keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters
+    keypoints: ImagePoints,
+    rig: Rig,
+    parameters: ReconstructionParameters,
+    calibrated_s: Mapping[str, float] | None = None,
 ) -> Outcome[tuple[Synchronization, ImagePoints]]:
-    """Put all cameras on the first one's clock, where that is wanted and the movement tells the delays."""
+    """Put all cameras on the first one's clock, where that is wanted and the movement tells the delays.
+
+    ``calibrated_s`` are the delays that the calibration found, by camera. What belongs to the cameras (their latency, their
+    trigger) is in the trial too; what belongs to a recording (who pressed when) is not. So the trial's own movement goes
+    first, and where it can't tell the delays by itself, those are taken that the calibration found, if it bears them out.
+    """
+    before = calibrated_s or {}
+    known_s = np.array([before.get(name, 0.0) for name in rig.names])
+    known_s = known_s - known_s[0]
+    matters = bool(np.abs(known_s).max() * keypoints.timebase.rate_hz > SMALLEST_DELAY_FRAMES)
     if parameters.synchronization == "hardware":
-        return Outcome((trusted(rig), keypoints))
+        worst = int(np.argmax(np.abs(known_s)))
+        unused = finding("delays-not-applied", where=rig.names[worst], value=1e3 * float(known_s[worst]))
+        return Outcome((trusted(rig), keypoints), (unused,) if matters else ())
     found = estimate_delays(rig, keypoints, parameters.min_confidence)
     if found.status == "corrected":
-        late = [
-            finding("cameras-not-synchronous", where=name, value=1e3 * float(delay_s))
-            for name, delay_s in zip(rig.names, found.delay_s, strict=True)
-            if delay_s != 0
-        ]
-        return Outcome((found, shift(keypoints, found.delay_s)), tuple(late))
+        late = _late(rig.names, found.delay_s)
+        told = tuple(finding("cameras-not-synchronous", where=name, value=ms) for name, ms in late)
+        return Outcome((found, shift(keypoints, found.delay_s)), told)
+    if found.status == "unknown" and matters:
+        found = confirm_delays(rig, keypoints, known_s, parameters.min_confidence)
+        if found.status == "corrected":
+            late = _late(rig.names, found.delay_s)
+            told = tuple(finding("delays-from-calibration", where=name, value=ms) for name, ms in late)
+            return Outcome((found, shift(keypoints, found.delay_s)), told)
     findings = (finding("synchronization-unknown"),) if found.status == "unknown" else ()
     return Outcome((found, keypoints), findings)
+
+
+def calibrated_delays(files: Sequence[CaptureFile]) -> dict[str, float]:
+    """Give the delays that gonio's own calibration of the session found, seconds by camera; none of another program's."""
+    own = next((read_own_calibration(file.path) for file in files if file.role == "calibration"), None)
+    if own is None or own.verdict.level == "reject":
+        return {}
+    return dict(zip(own.rig.names, own.delay_s.tolist(), strict=True))
+
+
+def _late(names: Sequence[str], delay_s: Float[np.ndarray, " camera"]) -> list[tuple[str, float]]:
+    """List the cameras that run late, and by how many milliseconds."""
+    return [(name, 1e3 * float(late_s)) for name, late_s in zip(names, delay_s, strict=True) if late_s != 0]
 
 
 def refine_cameras(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters) -> Outcome[PersonRefinement]:
@@ -80,8 +119,13 @@ def refine_cameras(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionP
     return Outcome(refinement, (finding("cameras-refined", where=most, value=fall),))
 
 
-def reconstruct(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters) -> Outcome[Reconstruction]:
-    """Triangulate all keypoints, turn the lab to the subject's heading, and judge how far the cameras agree."""
+def reconstruct(
+    keypoints: ImagePoints, rig: Rig, parameters: ReconstructionParameters, source: LabSource | None = None
+) -> Outcome[Reconstruction]:
+    """Triangulate all keypoints, find the lab, turn it to the subject's heading, and judge how far the cameras agree.
+
+    ``source`` is what the calibration took its lab from, None where that is not known.
+    """
     cameras, frames, names = keypoints.confidence.shape
     confidence = np.where(keypoints.confidence >= parameters.min_confidence, keypoints.confidence, 0.0)
     solved = triangulate(
@@ -104,29 +148,22 @@ def reconstruct(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionPara
     projections = projection_matrices(rig)
     depth_m = np.einsum("ci,fki->cfk", projections[:, 2, :3], xyz) + projections[:, 2, 3, None, None]
     miss_m = np.linalg.norm(points.residual_px, axis=-1) * depth_m / focal_lengths_px(rig)[:, None, None]
-    turned = turn_to_heading(points, rig)
+    upright, standing, told = find_trial_lab(points, rig, keypoints.stride, source, parameters.lab)
+    turned = turn_to_heading(upright, standing)
     reconstruction = Reconstruction(
         rig=turned[1],
         points=turned[0],
         camera_weight=np.where(confidence > 0, solved.camera_weight.reshape(cameras, frames, names), 0.0),
         miss_m=miss_m,
-        R_lab_calibrated=turned[2],
+        R_lab_calibrated=turned[1].cameras[0].T_lab_cam[:3, :3] @ rig.cameras[0].T_lab_cam[:3, :3].T,
     )
-    return Outcome(reconstruction, judge(reconstruction))
+    return Outcome(reconstruction, (*told, *judge(reconstruction)))
 
 
-def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig, Float[np.ndarray, "3 3"]]:
-    """Turn the lab about its vertical so that the subject heads towards +X, points and cameras together; also give the turn."""
+def turn_to_heading(points: LabPoints, rig: Rig) -> tuple[LabPoints, Rig]:
+    """Turn the lab about its vertical so that the subject heads towards +X; points and cameras turn together."""
     angle = heading_rad(points.of("left_hip"), points.of("right_hip"))
-    T_lab_calibrated = transform(rotation_about_y(-angle), np.zeros(3))
-    rotation = T_lab_calibrated[:3, :3]
-    cameras = tuple(replace(camera, T_lab_cam=T_lab_calibrated @ camera.T_lab_cam) for camera in rig.cameras)
-    turned = replace(
-        points,
-        xyz_lab_m=apply(T_lab_calibrated, points.xyz_lab_m),
-        covariance_m2=rotation @ points.covariance_m2 @ rotation.T,
-    )
-    return turned, replace(rig, cameras=cameras), rotation
+    return move_lab(points, rig, transform(rotation_about_y(-angle), np.zeros(3)))
 
 
 def smooth(keypoints: ImagePoints, raw: Reconstruction, parameters: ReconstructionParameters) -> Outcome[LabPoints]:

@@ -12,6 +12,7 @@ from gonio.formats.mot import Table, table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
+from gonio.pipeline.calibration_figures import plan_figure
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.dynamics import moment_curves
 from gonio.pipeline.gait import angle_curves
@@ -26,6 +27,11 @@ from gonio.vision.model_cards import load_card
 from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
 from gonio.vision.weights import default_cache_dir, ensure_weights
 
+PLAN_KEYPOINTS = tuple(
+    f"{side}_{joint}" for joint in ("heel", "ankle", "hip", "shoulder") for side in ("left", "right")
+)
+PLAN_POINTS = 400
+
 
 def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Path) -> ReportFiles:
     """Write ``report.json`` and ``report.html``, and the files for other programs."""
@@ -34,7 +40,7 @@ def write_report(analysis: Analysis, findings: Sequence[Finding], output_dir: Pa
     report = describe(analysis, findings, {**weights, analysis.body.file.name: analysis.body.file})
     document, page = output_dir / "report.json", output_dir / "report.html"
     document.write_text(report.model_dump_json(indent=1), encoding="utf-8")
-    page.write_text(render_html(report, draw_pictures(analysis)), encoding="utf-8")
+    page.write_text(render_html(report, draw_pictures(analysis), draw_plan(analysis)), encoding="utf-8")
     return ReportFiles(
         document=document,
         page=page,
@@ -150,6 +156,14 @@ def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
             draw_skeleton(picture, place_px, points.keypoint_names, skeleton_of(points.keypoint_names))
         )
     return drawn
+
+
+def draw_plan(analysis: Analysis) -> str:
+    """Draw the room with the subject's way through it: which way is up and forward, and what each camera looked at."""
+    names = [n for n in PLAN_KEYPOINTS if n in analysis.points.keypoint_names]
+    places = np.concatenate([analysis.points.of(name) for name in names or analysis.points.keypoint_names[:1]])
+    known = places[np.isfinite(places[:, 0])]
+    return plan_figure(analysis.raw.rig, known[:: max(1, len(known) // PLAN_POINTS)], "subject")
 
 
 def key_lines(report: GaitReport) -> list[str]:

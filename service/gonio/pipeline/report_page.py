@@ -21,8 +21,8 @@ class Fact(NamedTuple):
     note: str
 
 
-def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
-    """Render the report as one self-contained page; ``pictures`` holds a JPEG a camera."""
+def render_html(report: GaitReport, pictures: Mapping[str, bytes], plan_svg: str) -> str:
+    """Render the report as one self-contained page; ``pictures`` holds a JPEG a camera, ``plan_svg`` the room."""
     environment = Environment(
         loader=PackageLoader("gonio.pipeline", "templates"),
         autoescape=True,
@@ -36,6 +36,7 @@ def render_html(report: GaitReport, pictures: Mapping[str, bytes]) -> str:
         facts=key_facts(report.gait),
         cycle_svg=cycle_figure(report.gait),
         angle_svg=angle_figure(report.time_s, report.angles),
+        plan_svg=plan_svg,
         moments=any(c.quantity.endswith("moment") for c in report.gait.curves),
         deviations=[c for c in report.gait.curves if c.unit == "deg" and c.deviation is not None],
         pictures={name: base64.b64encode(jpeg).decode() for name, jpeg in pictures.items()},

@@ -183,7 +183,8 @@ class Motion:
 
     A coordinate that no marker tells of is NaN in that frame, and ``status`` says so. ``residual_rms_m`` is the root
     mean square distance of the observed markers from the model's, unweighted. ``covariance`` is that of the
-    coordinates of one frame, NaN where they are.
+    coordinates of one frame, NaN where they are; where nobody needs more than ``sd``, their standard deviations, it is left
+    out, for it is by far the largest array of a long trial.
     """
 
     coordinate_names: tuple[str, ...]
@@ -194,6 +195,7 @@ class Motion:
     iterations: Int[np.ndarray, " frame"]
     residual_rms_m: Float[np.ndarray, " frame"]
     covariance: Float[np.ndarray, "frame coordinate coordinate"] | None = None
+    sd: Float[np.ndarray, "frame coordinate"] | None = None
 
     def of(self, name: str) -> Float[np.ndarray, " frame"]:
         """Give the course of one coordinate by name."""

@@ -81,7 +81,9 @@ class RigCheck:
 
     ``shift_px`` is by how much a camera's picture of the board is off from its old place, in the median. ``turned_rad`` and
     ``shifted_m`` say how far each camera is from where it was, against the steady ones; of those that is the comparison's
-    own uncertainty. ``T_lab_cam1`` takes the first of these cameras' frame to the earlier calibration's lab.
+    own uncertainty. Their standard deviations are half of how far two halves of the sweep differ (NaN where a half can't
+    stand alone); what the earlier calibration was off by is not in them. ``T_lab_cam1`` takes the
+    first of these cameras' frame to the earlier calibration's lab.
     """
 
     camera_names: tuple[str, ...]
@@ -89,6 +91,9 @@ class RigCheck:
     moved: Bool[np.ndarray, " camera"]
     turned_rad: Float[np.ndarray, " camera"]
     shifted_m: Float[np.ndarray, " camera"]
+    shift_sd_px: Float[np.ndarray, " camera"]
+    turned_sd_rad: Float[np.ndarray, " camera"]
+    shifted_sd_m: Float[np.ndarray, " camera"]
     T_lab_cam1: Float[np.ndarray, "4 4"]
 
 

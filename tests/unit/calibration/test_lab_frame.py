@@ -3,6 +3,7 @@ import pytest
 
 from gonio.errors import CaptureError, InputError
 from gonio.kernel.calibration.lab_frame import (
+    camera_up,
     heading_rad,
     lab_from_board,
     lab_from_cameras,
@@ -101,7 +102,7 @@ def test_a_walker_gives_the_floor_and_the_direction_of_progression() -> None:
     T_lab_cam = ring()
     Ts_ref_cam, T_lab_ref = in_first_camera(T_lab_cam)
     places, is_left = contacts(np.random.default_rng(0), np.deg2rad(30))
-    frame = lab_from_walker(apply(inverse(T_lab_ref), places), is_left, Ts_ref_cam)
+    frame = lab_from_walker(apply(inverse(T_lab_ref), places), is_left, camera_up(Ts_ref_cam))
     T_found_lab = frame.T_lab_ref @ inverse(T_lab_ref)
     forward = T_found_lab[:3, :3] @ rotation_about_y(np.deg2rad(30)) @ [1.0, 0, 0]
     # 12 contacts of 12 mm over 7 m: heading to 0.1°, pitch to 0.1°; three of these and more.
@@ -110,7 +111,7 @@ def test_a_walker_gives_the_floor_and_the_direction_of_progression() -> None:
     assert T_found_lab[1, 1] > np.cos(np.deg2rad(5.0))
     assert frame.source == "walker"
     with pytest.raises(CaptureError) as caught:
-        lab_from_walker(apply(inverse(T_lab_ref), places[:3]), is_left[:3], Ts_ref_cam)
+        lab_from_walker(apply(inverse(T_lab_ref), places[:3]), is_left[:3], camera_up(Ts_ref_cam))
     assert caught.value.code == "walk-too-short"
 
 

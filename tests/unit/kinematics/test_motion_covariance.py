@@ -11,6 +11,7 @@ from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.markerset import attach, make_tasks
+from gonio.kernel.kinematics.clinical import clinical_sd_deg, find_clinical_angles
 from gonio.kernel.kinematics.covariance import add_covariance
 from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.records import Tasks
@@ -108,3 +109,19 @@ def test_wrong_shapes_are_refused(model, markerset):
     motion = solve_motion(model, tasks, seen, np.arange(2.0))
     with pytest.raises(InputError, match="covariances"):
         add_covariance(motion, model, tasks, seen, np.zeros((2, 5, 3, 3)))
+
+
+def test_standard_deviations_alone_are_the_roots_of_the_diagonal(model, markerset):
+    q = np.tile(model.coordinates.default, (3, 1))
+    seen = marker_positions(model, q)
+    seen[2] = np.nan
+    tasks = make_tasks(model, markerset)
+    noise = np.tile(1e-6 * np.eye(3), (3, 33, 1, 1))
+    solved = solve_motion(model, tasks, seen, np.arange(3.0))
+    whole = add_covariance(solved, model, tasks, seen, noise)
+    short = add_covariance(solved, model, tasks, seen, noise, whole=False)
+    assert whole.covariance is not None
+    assert short.covariance is None
+    np.testing.assert_allclose(short.sd, np.sqrt(np.einsum("fcc->fc", whole.covariance)), rtol=1e-12)
+    for angle in find_clinical_angles(model):
+        np.testing.assert_allclose(clinical_sd_deg(short, angle), clinical_sd_deg(whole, angle), rtol=1e-12)

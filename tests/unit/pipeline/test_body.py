@@ -11,7 +11,7 @@ from gonio.formats.osim_writer import write_osim
 from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.markerset import attach
 from gonio.pipeline.body import choose_markerset, scale_to_subject
-from gonio.pipeline.motion import fit_points
+from gonio.pipeline.motion import solve_points
 from gonio.pipeline.params import Subject
 from gonio.pipeline.run import CaptureFile
 from gonio.records import MEASURED, BodyModel, LabPoints, Timebase
@@ -79,7 +79,7 @@ def test_a_labs_own_model_serves_a_session(tmp_path: Path) -> None:
     body = scale_to_subject(points, Subject(mass_kg=70.0), files).value
     assert body.file == own
     assert len(body.model.markers.names) == 8
-    motion = fit_points(body, points)
+    motion = solve_points(body, points)
     assert np.rad2deg(motion.of("knee_angle_r"))[-1] == pytest.approx(np.rad2deg(0.5), abs=3.0)
     with pytest.raises(InputError, match="2 files of the kind body_model"):
         scale_to_subject(points, Subject(), [*files, files[0]])
@@ -92,7 +92,7 @@ def test_gait2354_serves_a_session_with_the_card_that_gonio_ships() -> None:
     files = [CaptureFile(path=GAIT2354, name=GAIT2354.name, role="body_model")]
     body = scale_to_subject(points, Subject(mass_kg=72.6), files)
     assert body.value.file == GAIT2354
-    motion = fit_points(body.value, points)
+    motion = solve_points(body.value, points)
     np.testing.assert_allclose(np.rad2deg(motion.of("knee_angle_r"))[[0, -1]], [0.0, -np.rad2deg(0.5)], atol=1.0)
 
 

@@ -98,6 +98,9 @@ def test_the_same_rig_is_checked_later_and_keeps_its_lab(calibrated, films, sess
     assert codes.isdisjoint({"camera-displaced", "lab-guessed", "lens-from-session"})
     np.testing.assert_allclose(again.rig.cameras[0].T_lab_cam, calibration.rig.cameras[0].T_lab_cam, atol=0.02)
     assert "stands as it stood" in result.page.read_text()
+    drawn = {path.name: path.read_text() for path in result.others if path.suffix == ".svg"}
+    assert set(drawn) == {"plan.svg", "coverage.svg"}
+    assert all(text.startswith("<svg") and "xmlns=" in text for text in drawn.values())
 
 
 def test_each_criterion_is_told_and_named(calibrated):
@@ -132,7 +135,13 @@ def test_cameras_that_moved_or_were_not_seen_are_named(session):
     turn[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.02, 0.0]))[0]
     cameras[2] = replace(cameras[2], T_lab_cam=cameras[2].T_lab_cam @ turn)
     calibration = _bare(session, tuple(cameras))
-    assert [(f.code, f.where) for f in compare(session.views, calibration).findings] == [("camera-displaced", "cam3")]
+    outcome = compare(session.views, calibration)
+    assert [(f.code, f.where) for f in outcome.findings] == [("camera-displaced", "cam3")]
+    assert "It turned by 1.1" in outcome.findings[0].message  # 0.02 rad
+    assert " ± " in outcome.findings[0].message
+    sd_rad = outcome.value.turned_sd_rad
+    assert abs(outcome.value.turned_rad[2] - 0.02) < 3 * max(sd_rad[2], 0.001)
+    assert (sd_rad < 0.01).all()
     other = replace(session.views, camera_names=("cam1", "cam2", "cam9"))
     assert ("camera-not-checked", "cam3") in [(f.code, f.where) for f in compare(other, calibration).findings]
 

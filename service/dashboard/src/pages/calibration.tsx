@@ -10,7 +10,7 @@ import { cameraLines } from "../viewer/frusta";
 const VERDICTS = { accept: "Accepted", warn: "Accepted with warnings", reject: "Rejected: don't use it" };
 
 interface RigDocument {
-  cameras: { name: string; image_size_px: [number, number]; intrinsic_px: number[][]; T_lab_cam: number[][] }[];
+  cameras: { name: string; image_width_px: number; image_height_px: number; intrinsic_px: number[][]; T_lab_cam: number[][] }[];
 }
 
 export function CalibrationPage({ id }: { id: string }) {
@@ -18,19 +18,25 @@ export function CalibrationPage({ id }: { id: string }) {
   if (!value) return <ProblemNote problem={problem} />;
   const document = value.files.find((file) => file.kind === "document");
   const page = value.files.find((file) => file.kind === "page");
+  const coverage = value.files.find((file) => file.name === "coverage.svg");
   return (
     <article>
       <header class="row">
         <h1>{value.name || "Calibration"}</h1>
         <span class={`state ${value.verdict}`}>{VERDICTS[value.verdict]}</span>
         {value.volume_error_mm !== null && <p>Error to expect of a point in the covered volume: {value.volume_error_mm.toFixed(1)} mm.</p>}
+        {page && (
+          <a class="button primary" href={page.url} target="_blank" rel="noopener">
+            Page with all numbers
+          </a>
+        )}
       </header>
       <Findings findings={value.findings} />
       {document && <RigScene url={document.url} />}
-      {page && (
+      {coverage && (
         <>
-          <h2>Where the board was seen, and the verdict's numbers</h2>
-          <iframe class="page" src={page.url} title="The calibration's own page, with a coverage picture of each camera" />
+          <h2>Where each camera saw the board</h2>
+          <img class="picture" src={coverage.url} alt="The corners of the board in the picture of each camera" />
         </>
       )}
       <h2>Files</h2>
@@ -58,19 +64,20 @@ function RigScene({ url }: { url: string }) {
     const scene = new THREE.Scene();
     scene.background = new THREE.Color("#f5f7f9");
     scene.add(new THREE.GridHelper(10, 20, "#9aa5b1", "#d3dae1"), new THREE.AxesHelper(0.5));
-    const box = new THREE.Box3();
-    for (const one of value.cameras) {
-      const pose = new THREE.Matrix4().set(...(one.T_lab_cam.flat() as Parameters<THREE.Matrix4["set"]>));
-      box.expandByPoint(new THREE.Vector3().setFromMatrixPosition(pose));
-      const [width_px, height_px] = one.image_size_px;
+    const poses = value.cameras.map((one) => new THREE.Matrix4().set(...(one.T_lab_cam.flat() as Parameters<THREE.Matrix4["set"]>)));
+    const box = new THREE.Box3().setFromPoints(poses.map((pose) => new THREE.Vector3().setFromMatrixPosition(pose)));
+    const across_m = Math.max(box.getSize(new THREE.Vector3()).length(), 0.5);
+    for (const [index, one] of value.cameras.entries()) {
+      const pose = poses[index]!;
+      const [width_px, height_px] = [one.image_width_px, one.image_height_px];
       const inverse = pose.clone().invert().elements;
       const T_cam_lab = [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => inverse[4 * column + row]!));
-      scene.add(cameraLines({ width_px, height_px, intrinsic_px: one.intrinsic_px, T_cam_lab }));
+      scene.add(cameraLines({ width_px, height_px, intrinsic_px: one.intrinsic_px, T_cam_lab }, 0.12 * across_m));
     }
     const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 200);
     const controls = new OrbitControls(camera, renderer.domElement);
-    const size = box.getSize(new THREE.Vector3()).length() + 2;
-    box.getCenter(controls.target).setY(0.8);
+    const size = 1.1 * across_m + 0.5;
+    box.getCenter(controls.target);
     camera.position.copy(controls.target).add(new THREE.Vector3(0.5 * size, 0.5 * size, 0.8 * size));
     const draw = () => renderer.render(scene, camera);
     const fit = new ResizeObserver(() => {

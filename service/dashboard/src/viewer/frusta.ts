@@ -1,17 +1,18 @@
 import * as THREE from "three";
 import type { View } from "./trial";
 
-const DEPTH_M = 0.5;
-
-/** A camera as the lines of its pyramid, half a metre deep, in the lab. */
-export function cameraLines(view: Pick<View, "width_px" | "height_px" | "intrinsic_px" | "T_cam_lab">): THREE.LineSegments {
+/** A camera as the lines of its pyramid in the lab. */
+export function cameraLines(
+  view: Pick<View, "width_px" | "height_px" | "intrinsic_px" | "T_cam_lab">,
+  depth_m = 0.5,
+): THREE.LineSegments {
   const [[fx, , cx], [, fy, cy]] = view.intrinsic_px as [[number, number, number], [number, number, number]];
   const corners = [
     [0, 0],
     [view.width_px, 0],
     [view.width_px, view.height_px],
     [0, view.height_px],
-  ].map(([u, v]) => new THREE.Vector3((DEPTH_M * (u! - cx)) / fx, (DEPTH_M * (v! - cy)) / fy, DEPTH_M));
+  ].map(([u, v]) => new THREE.Vector3((depth_m * (u! - cx)) / fx, (depth_m * (v! - cy)) / fy, depth_m));
   const centre = new THREE.Vector3();
   const points = corners.flatMap((corner, index) => [centre, corner, corner, corners[(index + 1) % 4]!]);
   const lines = new THREE.LineSegments(

@@ -85,7 +85,7 @@ class Stage {
     this.makePoints();
     this.makeForces();
     this.makeTorques();
-    this.cameras.add(...trial.header.cameras.map(cameraLines));
+    this.cameras.add(...trial.header.cameras.map((view) => cameraLines(view)));
   }
 
   /** Look at the whole way from its right side. */

@@ -170,7 +170,7 @@ def _measure_synchronization(bench: Bench, rig: Rig, points: ImagePoints) -> Non
     rate_hz = points.timebase.rate_hz
     answer = estimate_delays(rig, points, MIN_CONFIDENCE)
     bench.add("sync_real_frames", np.abs(answer.delay_s).max() * rate_hz, "frames", at_most=0.0)
-    for name, shifts, keep, worst in (("whole", WHOLE_FRAMES, 1, 0.0), ("half", HALF_FRAMES, 2, 0.2)):
+    for name, shifts, keep, worst in (("whole", WHOLE_FRAMES, 1, 0.0), ("half", HALF_FRAMES, 2, 0.1)):
         errors: list[float] = []
         for frames in shifts:
             late = np.array((0, *frames)) / keep

@@ -38,8 +38,6 @@ PAIRS = 3
 STEPS = ("triangulation", "filtering", "markerAugmentation", "kinematics")
 RATE_HZ = 60.0
 LONG = (1_000, 10_000, 100_000)
-LONG_PIXELS = (1_000, 10_000)
-"""The fit to the pixels of 100,000 frames takes a quarter of an hour and 10 GB: what two lengths show is enough."""
 
 
 def measure_ratios(bench: Bench, build_dir: Path) -> None:
@@ -93,9 +91,9 @@ def measure_ratios(bench: Bench, build_dir: Path) -> None:
 
 def measure_growth(bench: Bench) -> None:
     """Measure time and memory of long trials, each in a process of its own: up to angles of points, and of pixels."""
-    for kind, lengths in (("", LONG), ("pixels_", LONG_PIXELS)):
+    for kind in ("", "pixels_"):
         grown: list[tuple[float, float]] = []
-        for frames in lengths:
+        for frames in LONG:
             code = "import sys; from gonio.bench.points.speed import tell_growth as f; f(int(sys.argv[1]), bool(sys.argv[2]))"
             done = subprocess.run(  # noqa: S603 - our own code
                 [sys.executable, "-c", code, str(frames), kind], capture_output=True, text=True, check=False
@@ -108,10 +106,10 @@ def measure_growth(bench: Bench) -> None:
             bench.add(f"{kind}fps_{frames}", frames / seconds, "1/s")
             bench.add(f"{kind}cpu_ms_a_frame_{frames}", 1e3 * cpu_s / frames, "ms")
             bench.add(f"{kind}peak_rss_mb_{frames}", peak_mb, "MB")
-        if len(grown) == len(lengths):
+        if len(grown) == len(LONG):
             # Linear: a frame of the longest trial costs no more of the processor than one of the shortest, and a quarter.
             bench.add(f"{kind}cost_growth", grown[-1][0] / grown[0][0], "1", at_most=1.25)
-            per_frame_kb = 1e3 * (grown[-1][1] - grown[0][1]) / (lengths[-1] - lengths[0])
+            per_frame_kb = 1e3 * (grown[-1][1] - grown[0][1]) / (LONG[-1] - LONG[0])
             bench.add(f"{kind}memory_kb_a_frame", per_frame_kb, "kB")
 
 

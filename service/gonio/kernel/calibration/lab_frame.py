@@ -16,8 +16,8 @@ WALKED_M = 1.0
 
 CONTACT_SD_M = 0.012
 UPRIGHT_SD_RAD = np.deg2rad(5.0)
-"""Feet are found on the floor to this; cameras on tripods stand upright to that: it decides about what a walk along one
-line can't tell, the tilt across it."""
+"""Feet are found on the floor to this; people who walk, and cameras on tripods, are upright to that: it decides about what a
+walk along one line can't tell, the tilt across it."""
 
 
 def heading_rad(left_hip_lab_m: Float[np.ndarray, "frame 3"], right_hip_lab_m: Float[np.ndarray, "frame 3"]) -> float:
@@ -100,21 +100,26 @@ def lab_from_points(xyz_ref_m: Float[np.ndarray, "point 3"], xyz_lab_m: Float[np
 def lab_from_walker(
     contacts_ref_m: Float[np.ndarray, "contact 3"],
     is_left: Bool[np.ndarray, " contact"],
-    Ts_ref_cam: Float[np.ndarray, "camera 4 4"],
+    upright_ref: Float[np.ndarray, "3"],
 ) -> LabFrame:
     """Take the lab from the places where somebody's feet stood, in the order of time: floor, heading and origin.
 
-    The floor is the plane through the contacts. A walk along one line says nothing about the tilt across it, so the
-    cameras, which usually stand upright, have a small say. X is the direction of the line half-way between the feet, for
+    The floor is the plane through the contacts. A walk along one line says nothing about the tilt across it, so what is
+    upright as a rule, the walker or the cameras, has a small say. X is the direction of the line half-way between the feet, for
     which the side is a regressor of its own: the plain principal axis zigzags with left and right. The origin is the first
     contact's foot point on that line.
+
+    Args:
+        contacts_ref_m: The places.
+        is_left: Which of them are the left foot's.
+        upright_ref: About where up is, a unit vector: to :data:`UPRIGHT_SD_RAD`.
 
     Raises:
         CaptureError: ``walk-too-short``: fewer than four contacts, or none of one foot, or less than a metre.
     """
     if len(contacts_ref_m) < 4 or is_left.all() or not is_left.any():
         raise _short_walk()
-    upright = camera_up(Ts_ref_cam)
+    upright = upright_ref
     middle = contacts_ref_m.mean(axis=0)
     centred = contacts_ref_m - middle
     # Minimise Σ (n·x)²/s² + (n × u)²/σ² over unit n: an eigenvector.

@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from gonio.errors import CaptureError
+from gonio.errors import CaptureError, SolverError
 from gonio.kernel.calibration.board_motion import advance
 from gonio.kernel.calibration.board_terms import DELAY
 from gonio.kernel.calibration.boards import Observations, Scene, pose_boards
-from gonio.kernel.calibration.held_out import some_cameras
+from gonio.kernel.calibration.held_out import some_cameras, split_blocks
 from gonio.kernel.calibration.pairwise import pose_in_rig
-from gonio.kernel.calibration.rig import RigSolution, solve_rig
+from gonio.kernel.calibration.rig import RigSolution, solve_part, solve_rig
 from gonio.kernel.geometry.cameras import project
 from gonio.kernel.geometry.transforms import align, apply, inverse
 from gonio.records import BoardViews, Intrinsics, Rig, RigCheck
@@ -27,6 +27,8 @@ MOVED_PX = 1.5
 """A camera whose picture of the board is off by this in the median has moved; in pictures wider than 1280 by more."""
 
 MOST_FRAMES = 60
+HALF_BLOCKS = 6
+"""The sweep's halves are every other of so many blocks."""
 
 
 def check_rig(views: BoardViews, optics: Sequence[Intrinsics], rig: Rig) -> RigCheck:
@@ -54,18 +56,40 @@ def check_rig(views: BoardViews, optics: Sequence[Intrinsics], rig: Rig) -> RigC
     solution = solve_rig(some_cameras(views, known), [optics[p] for p in places], hold_intrinsics=True)
     seen, places = [known[c] for c in solution.cameras], [places[c] for c in solution.cameras]
     Ts_lab_cam = np.stack([rig.cameras[p].T_lab_cam for p in places])
-    sweep = _Sweep(some_cameras(views, seen), solution, Ts_lab_cam)
+    own = some_cameras(views, seen)
+    sweep = _Sweep(own, solution, Ts_lab_cam)
     widths = np.array([views.image_sizes_px[c][0] for c in seen])
     shift_px, T_lab_ref, steady = sweep.find_steady(MOVED_PX * np.maximum(widths / 1280, 1.0))
-    change = inverse(Ts_lab_cam) @ T_lab_ref @ inverse(solution.scene.Ts_cam_ref)
+    steady_ones = [c for c in range(len(seen)) if steady[c]] or list(range(len(seen)))
+    _, turn, shift_m = sweep.changes(steady_ones)
+    shift_sd_px, turned_sd_rad, shifted_sd_m = _scatter(own, solution, Ts_lab_cam, steady_ones)
     return RigCheck(
         camera_names=tuple(views.camera_names[c] for c in seen),
         shift_px=shift_px,
         moved=~steady,
-        turned_rad=np.linalg.norm(Rotation.from_matrix(change[:, :3, :3]).as_rotvec(), axis=1),
-        shifted_m=np.linalg.norm(change[:, :3, 3], axis=1),
+        turned_rad=np.linalg.norm(turn, axis=1),
+        shifted_m=np.linalg.norm(shift_m, axis=1),
+        shift_sd_px=shift_sd_px,
+        turned_sd_rad=turned_sd_rad,
+        shifted_sd_m=shifted_sd_m,
         T_lab_cam1=T_lab_ref,
     )
+
+
+def _scatter(
+    views: BoardViews, solution: RigSolution, Ts_lab_cam: Float[np.ndarray, "camera 4 4"], steady: list[int]
+) -> tuple[Float[np.ndarray, " camera"], Float[np.ndarray, " camera"], Float[np.ndarray, " camera"]]:
+    """Give the standard deviations of shifts in pixels, turns and ways: half the difference of two halves of the sweep."""
+    try:
+        one, other = (
+            _Sweep(views, solve_part(views, solution, half), Ts_lab_cam).changes(steady)
+            for half in split_blocks(solution.frames, HALF_BLOCKS)
+        )
+    except (CaptureError, SolverError):
+        unknown = np.full(len(Ts_lab_cam), np.nan)
+        return unknown, unknown, unknown
+    px, turned, way = (np.asarray(a - b) / 2 for a, b in zip(one, other, strict=True))
+    return np.abs(px), np.linalg.norm(turned, axis=1), np.linalg.norm(way, axis=1)
 
 
 class _Sweep:
@@ -80,6 +104,7 @@ class _Sweep:
         self._lenses = solution.lenses(views)
         self._theta = np.column_stack([scene.theta[:, :DELAY], np.zeros(len(scene.theta))])
         self._Ts_lab_cam = Ts_lab_cam
+        self._Ts_cam_ref = scene.Ts_cam_ref
         self._uv_px = uv_px
         self._seen = np.isfinite(uv_px[..., 0])
         self._xyz_ref_m = np.stack([apply(T, corners) for T in scene.Ts_ref_board[some]])
@@ -101,6 +126,14 @@ class _Sweep:
             agreeing = min(([c for c in agreeing if c != out] for out in agreeing), key=worst_of)
         shift_px, T_lab_ref = self._compare(agreeing)
         return shift_px, T_lab_ref, (shift_px <= limits_px) & (worst_of(agreeing) <= 1)
+
+    def changes(
+        self, steady: list[int]
+    ) -> tuple[Float[np.ndarray, " camera"], Float[np.ndarray, "camera 3"], Float[np.ndarray, "camera 3"]]:
+        """Give each camera's shift in pixels, turn (a rotation vector) and way, against the places of the steady ones."""
+        shift_px, T_lab_ref = self._compare(steady)
+        change = inverse(self._Ts_lab_cam) @ T_lab_ref @ inverse(self._Ts_cam_ref)
+        return shift_px, np.asarray(Rotation.from_matrix(change[:, :3, :3]).as_rotvec()), change[:, :3, 3]
 
     def _compare(self, posing: list[int]) -> tuple[Float[np.ndarray, " camera"], Float[np.ndarray, "4 4"]]:
         """Pose the boards with some cameras at their old places, and see how far each camera's picture is off."""

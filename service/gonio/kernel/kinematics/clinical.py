@@ -63,7 +63,7 @@ def clinical_deg(motion: Motion, angle: ClinicalAngle) -> Float[np.ndarray, " fr
 
 def clinical_sd_deg(motion: Motion, angle: ClinicalAngle) -> Float[np.ndarray, " frame"]:
     """Give the standard deviation of one angle over time, degrees; NaN where the angle or its covariance is not known."""
-    if motion.covariance is None:
-        return np.full(len(motion.times_s), np.nan)
     index = motion.coordinate_names.index(angle.coordinate)
+    if motion.covariance is None:
+        return np.full(len(motion.times_s), np.nan) if motion.sd is None else np.degrees(motion.sd[:, index])
     return np.degrees(np.sqrt(np.maximum(motion.covariance[:, index, index], 0.0)))

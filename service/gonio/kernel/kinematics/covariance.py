@@ -40,6 +40,8 @@ def add_covariance(
     tasks: Tasks,
     xyz_lab_m: Float[np.ndarray, "frame marker 3"],
     covariance_m2: Float[np.ndarray, "frame marker 3 3"],
+    *,
+    whole: bool = True,
 ) -> Motion:
     """Give the motion with the covariance of its coordinates in each frame.
 
@@ -49,6 +51,7 @@ def add_covariance(
         tasks: The tasks it was found with; their ``target_sd`` counts.
         xyz_lab_m: The points it was found from.
         covariance_m2: Their covariances; what is NaN for a point that was seen makes its frame's covariance NaN.
+        whole: Give the covariance; else the standard deviations only.
 
     Returns:
         The motion with its covariance, rad² and m²: NaN where the motion is, 0 for locked coordinates. A coordinate at
@@ -65,23 +68,25 @@ def add_covariance(
         )
     problem = pose_problem(model, tasks, 1e-6, 1)
     q = np.where(np.isnan(motion.values), model.coordinates.default, motion.values)
-    points, noise = (np.array(array, dtype=float, order="C") for array in (xyz_lab_m, covariance_m2))
     weights, target_variance = tasks.marker_weights.copy(), tasks.target_sd**2
-    covariance = np.full((len(q), q.shape[1], q.shape[1]), np.nan)
+    count = q.shape[1]
+    found = np.empty((len(q), count, count) if whole else (len(q), count))
 
     def propagate(start: int, stop: int) -> None:
-        work = make_workspace(problem.tree)
-        for frame in range(start, stop):
-            if motion.status[frame] != TOO_FEW_MARKERS:
-                _propagate(
-                    problem, points[frame], noise[frame], weights, target_variance, q[frame], covariance[frame], work
-                )
+        work, block = make_workspace(problem.tree), slice(start, stop)
+        points, noise = (np.array(array[block], dtype=float, order="C") for array in (xyz_lab_m, covariance_m2))
+        covariance = np.full((stop - start, count, count), np.nan)
+        for row in np.flatnonzero(motion.status[block] != TOO_FEW_MARKERS):
+            _propagate(
+                problem, points[row], noise[row], weights, target_variance, q[start + row], covariance[row], work
+            )
+        unknown = np.isnan(motion.values[block])
+        covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+        found[block] = covariance if whole else np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
 
     over_blocks(propagate, len(q), _BLOCK)
-    unknown = np.isnan(motion.values)
-    covariance[unknown[:, :, None] | unknown[:, None, :]] = np.nan
-    covariance.setflags(write=False)  # so the record takes it as it is: it is the largest array of a motion
-    return replace(motion, covariance=covariance)
+    found.setflags(write=False)  # so the record takes it as it is
+    return replace(motion, covariance=found) if whole else replace(motion, sd=found)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -127,12 +132,24 @@ def _propagate(
 
 
 @njit(cache=True, error_model="numpy")
+def _list_moving(jacobian: Array, moving: Array) -> int:
+    """List the columns of a Jacobian (3, coordinate) that are not zero, and give their number."""
+    found = 0
+    for c in range(jacobian.shape[1]):
+        if jacobian[0, c] != 0.0 or jacobian[1, c] != 0.0 or jacobian[2, c] != 0.0:
+            moving[found] = c
+            found += 1
+    return found
+
+
+@njit(cache=True, error_model="numpy")
 def _perturb(
     problem: Problem, observed: Array, noise: Array, weights: Array, target_variance: Array, work: Workspace
 ) -> Array:
     """Give the covariance of the gradient: Σ w² Jᵀ C J / (Σ w)² over the points, W² σ² over the targets."""
     tree, count = problem.tree, len(target_variance)
     middle, jacobian, turned = np.zeros((count, count)), np.empty((3, count)), np.empty((3, count))
+    moving = np.empty(count, dtype=np.int64)  # the coordinates that move a marker: a third of all at most
     total = 0.0
     for marker in range(len(observed)):
         if is_seen(observed[marker]):
@@ -142,13 +159,14 @@ def _perturb(
             jacobian.fill(0.0)
             differentiate_marker(tree, work.nodes, tree.markers[marker], jacobian)
             w = weights[marker] / total
-            for c in range(count):
+            found = _list_moving(jacobian, moving)
+            for c in moving[:found]:
                 for i in range(3):
                     turned[i, c] = 0.0
                     for j in range(3):
                         turned[i, c] += w * w * noise[marker, i, j] * jacobian[j, c]
-            for a in range(count):
-                for b in range(count):
+            for a in moving[:found]:
+                for b in moving[:found]:
                     for i in range(3):
                         middle[a, b] += jacobian[i, a] * turned[i, b]
     for c in range(count):

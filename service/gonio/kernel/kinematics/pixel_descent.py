@@ -54,6 +54,7 @@ def minimise(
     on_iteration: Callable[[], None],
     *,
     shared: bool,
+    settles: bool = True,
 ) -> Found:
     """Find the state of least cost; the noise level is estimated where it starts and once more where it has settled.
 
@@ -65,9 +66,10 @@ def minimise(
         tolerance: Ends where neither the last step nor the next is to take more than this share off the cost.
         on_iteration: Is called before each step.
         shared: Whether what the frames share is unknown, too.
+        settles: Go on from where it has settled first, with the noise level that it has there.
     """
     descent = _Descent(trial, start, estimate_noise_px(trial, start), loss_scale, shared=shared)
-    settled = False
+    settled = not settles
     for iteration in range(1, MAX_ITERATIONS + 1):
         on_iteration()
         largest_rad, expected, gain = descent.go()

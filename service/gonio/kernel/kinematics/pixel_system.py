@@ -56,6 +56,13 @@ class Trial:
         return len(self.priors.group_sd) + 3 * markers + 2 * cameras * markers
 
     @cached_property
+    def place(self) -> Int[np.ndarray, " coordinate"]:
+        """Where each coordinate is among the free ones, −1 where it is not."""
+        place = np.full(len(self.model.coordinates.names), -1)
+        place[self.free] = np.arange(len(self.free))
+        return place
+
+    @cached_property
     def smooth(self) -> Bool[np.ndarray, " start"]:
         """Whether a frame and the three after it are consecutive in time, by frame but for the last three."""
         follows = self.consecutive
@@ -311,6 +318,7 @@ def _layout(trial: Trial, state: State, order: int, *, shared: bool) -> Layout:
     plain = trial.plain
     return Layout(
         free=trial.free,
+        place=trial.place,
         node_group=plain.node_group,
         marker_group=plain.marker_group,
         marker_factor=np.append(np.exp(state.log_scale), 1.0)[plain.marker_group],
@@ -338,7 +346,9 @@ def _sum_all(tree: Tree, sight: Sight, layout: Layout, q: np.ndarray, shared: in
         costs[number] = sum_frames(tree, sight, layout, start, stop, q, sums)
 
     over_blocks(work, frames, _BLOCK)
-    return Sums(hessian, gradient, border, corners.sum(axis=0), shared_gradients.sum(axis=0), error), float(costs.sum())
+    corner = corners.sum(axis=0)
+    corner += np.tril(corner, -1).T
+    return Sums(hessian, gradient, border, corner, shared_gradients.sum(axis=0), error), float(costs.sum())
 
 
 def _frame_priors(trial: Trial, state: State) -> tuple[float, np.ndarray, np.ndarray]:

@@ -6,7 +6,8 @@ A keypoint's reprojection residual in one camera, divided by its standard deviat
 
 with the keypoint's place X in the lab (coordinates q of the frame; segment scales s and keypoint offsets o of the whole
 trial) and the camera's constant bias b for this keypoint. The loss is Cauchy's, c²/2 log(1 + |e|²/c²). The cameras of a
-keypoint are summed into a 3 × 3 information and a 3-vector first, so that the kinematic chain is walked once a keypoint.
+keypoint are summed into a 3 × 3 information and a 3-vector first, so that the kinematic chain is walked once a keypoint. Where
+the gradient is all that is wanted, these 3-vectors are summed from the tips inwards, as forces are, and it is walked once.
 """
 
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from gonio.kernel.body.tree import (
     place_marker,
     pose_nodes,
 )
-from gonio.records import PRISMATIC
+from gonio.records import PRISMATIC, REVOLUTE
 
 RESIDUALS, GRADIENT, NORMAL_EQUATIONS = 0, 1, 2
 
@@ -43,6 +44,7 @@ class Layout(NamedTuple):
     """Which unknowns there are. The shared ones: log-scales, then offsets (marker, 3), then biases (camera, marker, 2)."""
 
     free: Array  # (free,): the coordinates that are solved for
+    place: Array  # (coordinate,): where a coordinate is among the free ones, −1 where it is not
     node_group: Array  # (node,): the scale group that a node's placement belongs to, −1 for none
     marker_group: Array  # (marker,)
     marker_factor: Array  # (marker,): the present scale of its segment
@@ -54,7 +56,7 @@ class Layout(NamedTuple):
 class Sums(NamedTuple):
     """The normal equations; those of a frame are overwritten, those of the shared unknowns added to.
 
-    What the layout's order does not ask for is left as it is.
+    Of the corner only the lower half is. What the layout's order does not ask for is left as it is.
     """
 
     hessian: Array  # (frame, free, free)
@@ -75,8 +77,11 @@ class Keypoint(NamedTuple):
     weight: Array  # (camera,)
     by_coordinate: Array  # (3, coordinate)
     moving: Array  # (free,): which of the free coordinates move it, as many as the frame says
-    by_geometry: Array  # (3, scales + 3): the log-scales that move it, then the own offset
-    columns: Array  # (scales + 3,): which shared unknowns those are, as many as the keypoint says
+    moved: Array  # (free, 3): how
+    by_geometry: Array  # (scales + 3, 3): by the log-scales that move it, then by the own offset
+    columns: Array  # (scales + 3 + 2 camera,): which shared unknowns those are, and those of the cameras' biases
+    rows: Array  # (scales + 3 + 2 camera, 3): how they pull at its place
+    forces: Array  # (node, 6): scratch of the gradient, 0 between frames
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -87,8 +92,9 @@ def sum_frames(tree: Tree, sight: Sight, layout: Layout, start: int, stop: int, 
     cameras = sight.projections.shape[0]
     seen = Keypoint(
         np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((cameras, 2, 3)), np.zeros(cameras),
-        np.zeros((3, q.shape[1])), np.zeros(len(layout.free), dtype=np.int64),
-        np.zeros((3, layout.scales + 3)), np.zeros(layout.scales + 3, dtype=np.int64),
+        np.zeros((3, q.shape[1])), np.zeros(len(layout.free), dtype=np.int64), np.zeros((len(layout.free), 3)),
+        np.zeros((layout.scales + 3, 3)), np.zeros(layout.scales + 3 + 2 * cameras, dtype=np.int64),
+        np.zeros((layout.scales + 3 + 2 * cameras, 3)), np.zeros((len(tree.nodes), 6)),
     )  # fmt: skip
     cost = 0.0
     for frame in range(start, stop):
@@ -101,18 +107,85 @@ def sum_frames(tree: Tree, sight: Sight, layout: Layout, start: int, stop: int, 
         pose_nodes(tree, q[frame], coordinates, nodes)
         for marker in range(len(tree.markers)):
             place_marker(nodes, tree.markers[marker], seen.place)
-            cost += _look(sight, frame, marker, seen, sums.error_px)
-            if layout.order == RESIDUALS or not np.any(seen.weight > 0.0):
+            cost += _look(sight, layout.order, frame, marker, seen, sums.error_px)
+            if layout.order < NORMAL_EQUATIONS:
+                if layout.order == GRADIENT and tree.markers[marker].node >= 0:
+                    _pull_node(nodes, tree.markers[marker], layout, len(tree.markers), marker, sums, frame, seen)
+                continue
+            if not np.any(seen.weight > 0.0):
                 continue
             seen.by_coordinate[:] = 0.0
             differentiate_marker(tree, nodes, tree.markers[marker], seen.by_coordinate)
             moving = _find_moving(seen, layout.free)
-            _add_frame(seen, layout, moving, sums, frame)
+            _add_frame(seen, moving, sums, frame)
             if layout.shared and tree.markers[marker].node >= 0:
                 geometric = _differentiate_geometry(tree, nodes, layout, marker, seen)
-                _add_geometry(seen, layout, moving, geometric, sums, frame)
-                _add_biases(seen, layout, len(tree.markers), marker, moving, geometric, sums, frame)
+                count = _add_biases(seen, layout, len(tree.markers), marker, geometric, sums, frame)
+                _add_shared(seen, moving, geometric, count, sums, frame)
+        if layout.order == GRADIENT:
+            _hand_inwards(tree, nodes, layout, sums, frame, seen.forces)
     return cost
+
+
+@njit(cache=True, error_model="numpy")
+def _pull_node(
+    nodes: Array, given: Array, layout: Layout, markers: int, marker: int, sums: Sums, frame: int, seen: Keypoint
+) -> None:
+    """Let a keypoint pull at its node, as a force and its moment about the lab's origin, and at what is shared."""
+    x, pull, total, node = seen.place, seen.pull, seen.forces[given.node], nodes[given.node]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        total[i] += pull[i]
+        total[3 + i] += x[j] * pull[k] - x[k] * pull[j]
+    if not layout.shared:
+        return
+    gradient, group = sums.shared_gradient, layout.marker_group[marker]
+    for i in range(3):
+        if group >= 0:
+            gradient[group] += (x[i] - node.p_lab_node[i]) * pull[i]
+        for j in range(3):
+            gradient[layout.scales + 3 * marker + j] += node.R_lab_node[i, j] * layout.marker_factor[marker] * pull[i]
+    for c in range(len(seen.weight)):
+        if seen.weight[c] > 0.0:
+            first = layout.scales + 3 * markers + 2 * (c * markers + marker)
+            for axis in range(2):
+                gradient[first + axis] += seen.weight[c] * sums.error_px[c, frame, marker, axis]
+
+
+@njit(cache=True, error_model="numpy")
+def _hand_inwards(tree: Tree, nodes: Array, layout: Layout, sums: Sums, frame: int, forces: Array) -> None:
+    """Sum the forces from the tips inwards, each node's times what its coordinate and its lengths move; leave them 0."""
+    gradient, shared_gradient = sums.gradient[frame], sums.shared_gradient
+    for index in range(len(tree.nodes) - 1, -1, -1):
+        given, node, f, t = tree.nodes[index], nodes[index], forces[index, :3], forces[index, 3:]
+        along = _dot(node.axis_lab, f)
+        if given.driver >= 0 and layout.place[given.driver] >= 0:
+            if given.kind == REVOLUTE:
+                about, p = _dot(node.axis_lab, t), node.p_lab_node
+                for i in range(3):
+                    j, k = (i + 1) % 3, (i + 2) % 3
+                    about -= node.axis_lab[i] * (p[j] * f[k] - p[k] * f[j])
+                gradient[layout.place[given.driver]] += node.first * about
+            elif given.kind == PRISMATIC:
+                gradient[layout.place[given.driver]] += node.first * along
+        if given.parent >= 0:
+            if layout.shared and layout.node_group[index] >= 0:
+                slide = along * node.value if given.kind == PRISMATIC else 0.0
+                shared_gradient[layout.node_group[index]] += slide + _pull_arm(nodes[given.parent], given, f)
+            for i in range(6):
+                forces[given.parent, i] += forces[index, i]
+        for i in range(6):
+            forces[index, i] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _pull_arm(parent: Array, given: Array, force: Array) -> float:
+    """Give what a force does as a node's way from its parent grows."""
+    done = 0.0
+    for i in range(3):
+        for j in range(3):
+            done += parent.R_lab_node[i, j] * given.p_parent_node[j] * force[i]
+    return done
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,15 +196,18 @@ def _find_moving(seen: Keypoint, free: Array) -> int:
         for i in range(3):
             if seen.by_coordinate[i, free[a]] != 0.0:
                 seen.moving[count] = a
+                for j in range(3):
+                    seen.moved[count, j] = seen.by_coordinate[j, free[a]]
                 count += 1
                 break
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _look(sight: Sight, frame: int, marker: int, seen: Keypoint, error_px: Array) -> float:
+def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, error_px: Array) -> float:
     """Sum a keypoint's cameras into Λ and γ, fill each camera's residual, derivative and weight, and give the cost."""
-    seen.information[:] = 0.0
+    if order == NORMAL_EQUATIONS:
+        seen.information[:] = 0.0
     seen.pull[:] = 0.0
     x, cost = seen.place, 0.0
     for c in range(len(sight.projections)):
@@ -151,31 +227,32 @@ def _look(sight: Sight, frame: int, marker: int, seen: Keypoint, error_px: Array
                 seen.to_pixel[c, axis, i] = (p[axis, i] - projected * p[2, i]) / depth
         cost += 0.5 * sight.loss_scale**2 * np.log1p(squared / sight.loss_scale**2)
         seen.weight[c] = precision**2 / (1.0 + squared / sight.loss_scale**2)
+        if order == RESIDUALS:
+            continue
         for axis in range(2):
             row = seen.to_pixel[c, axis]
             for i in range(3):
                 seen.pull[i] += seen.weight[c] * row[i] * error[axis]
-                for j in range(3):
-                    seen.information[i, j] += seen.weight[c] * row[i] * row[j]
+                if order == NORMAL_EQUATIONS:
+                    for j in range(3):
+                        seen.information[i, j] += seen.weight[c] * row[i] * row[j]
     return cost
 
 
 @njit(cache=True, error_model="numpy")
-def _add_frame(seen: Keypoint, layout: Layout, moving: int, sums: Sums, frame: int) -> None:
+def _add_frame(seen: Keypoint, moving: int, sums: Sums, frame: int) -> None:
     """Add Jᵀ γ and Jᵀ Λ J of one keypoint, for the coordinates that move it."""
-    carried = np.zeros(3)
+    carried, hessian = np.zeros(3), sums.hessian[frame]
     for k in range(moving):
         a = seen.moving[k]
-        column = seen.by_coordinate[:, layout.free[a]]
-        sums.gradient[frame, a] += _dot(column, seen.pull)
-        if layout.order == NORMAL_EQUATIONS:
-            _carry(seen.information, column, carried)
-            for m in range(k + 1):
-                b = seen.moving[m]
-                entry = _dot(carried, seen.by_coordinate[:, layout.free[b]])
-                sums.hessian[frame, a, b] += entry
-                if m < k:
-                    sums.hessian[frame, b, a] += entry
+        sums.gradient[frame, a] += _dot(seen.moved[k], seen.pull)
+        _carry(seen.information, seen.moved[k], carried)
+        for m in range(k + 1):
+            b = seen.moving[m]
+            entry = _dot(carried, seen.moved[m])
+            hessian[a, b] += entry
+            if m < k:
+                hessian[b, a] += entry
 
 
 @njit(cache=True, error_model="numpy")
@@ -187,83 +264,65 @@ def _differentiate_geometry(tree: Tree, nodes: Array, layout: Layout, marker: in
     by, index = seen.by_geometry, tree.markers[marker].node
     by[:] = 0.0
     for i in range(3):
-        seen.columns[layout.scales + i] = layout.scales + 3 * marker + i
         for j in range(3):
-            by[i, layout.scales + j] = nodes[index].R_lab_node[i, j] * layout.marker_factor[marker]
+            by[layout.scales + j, i] = nodes[index].R_lab_node[i, j] * layout.marker_factor[marker]
         if layout.marker_group[marker] >= 0:
-            by[i, layout.marker_group[marker]] += seen.place[i] - nodes[index].p_lab_node[i]
-    for s in range(layout.scales):
-        seen.columns[s] = s
+            by[layout.marker_group[marker], i] += seen.place[i] - nodes[index].p_lab_node[i]
     while index >= 0:
         given, node, group = tree.nodes[index], nodes[index], layout.node_group[index]
         if group >= 0 and given.parent >= 0:
             parent = nodes[given.parent]
             for i in range(3):
                 for j in range(3):
-                    by[i, group] += parent.R_lab_node[i, j] * given.p_parent_node[j]
+                    by[group, i] += parent.R_lab_node[i, j] * given.p_parent_node[j]
                 if given.kind == PRISMATIC:  # a slide that follows an angle: the knee's
-                    by[i, group] += node.axis_lab[i] * node.value
+                    by[group, i] += node.axis_lab[i] * node.value
         index = given.parent
-    return _keep_telling(seen, layout.scales)
-
-
-@njit(cache=True, error_model="numpy")
-def _keep_telling(seen: Keypoint, scales: int) -> int:
-    """Move the derivatives that are not zero, and the offset's, to the front; give their number."""
-    by, count = seen.by_geometry, 0
-    for column in range(scales + 3):
-        if column >= scales or by[0, column] != 0.0 or by[1, column] != 0.0 or by[2, column] != 0.0:
-            seen.columns[count] = seen.columns[column]
-            for i in range(3):
-                by[i, count] = by[i, column]
+    count = 0
+    for s in range(layout.scales + 3):
+        if s >= layout.scales or by[s, 0] != 0.0 or by[s, 1] != 0.0 or by[s, 2] != 0.0:
+            by[count] = by[s]
+            seen.columns[count] = s if s < layout.scales else s + 3 * marker
             count += 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _add_geometry(seen: Keypoint, layout: Layout, moving: int, geometric: int, sums: Sums, frame: int) -> None:
-    """Add what one keypoint says of scales and of its own offset."""
-    carried = np.zeros(3)
-    for a in range(geometric):
-        column, own = seen.by_geometry[:, a], seen.columns[a]
-        sums.shared_gradient[own] += _dot(column, seen.pull)
-        if layout.order < NORMAL_EQUATIONS:
-            continue
-        _carry(seen.information, column, carried)
-        for b in range(a + 1):
-            entry = _dot(carried, seen.by_geometry[:, b])
-            sums.corner[own, seen.columns[b]] += entry
-            if b < a:
-                sums.corner[seen.columns[b], own] += entry
-        for k in range(moving):
-            moved = seen.by_coordinate[:, layout.free[seen.moving[k]]]
-            sums.border[frame, seen.moving[k], own] += _dot(carried, moved)
-
-
-@njit(cache=True, error_model="numpy")
 def _add_biases(
-    seen: Keypoint, layout: Layout, markers: int, marker: int, moving: int, geometric: int, sums: Sums, frame: int
-) -> None:
-    """Add what one keypoint says of each camera's bias for it."""
-    row = np.zeros(3)
+    seen: Keypoint, layout: Layout, markers: int, marker: int, geometric: int, sums: Sums, frame: int
+) -> int:
+    """Add what one keypoint says of each camera's bias for it, and list these after the geometry; give the number of all."""
+    count = geometric
     for c in range(len(seen.weight)):
         if seen.weight[c] <= 0.0:
             continue
         for axis in range(2):
             column = layout.scales + 3 * markers + 2 * (c * markers + marker) + axis
             sums.shared_gradient[column] += seen.weight[c] * sums.error_px[c, frame, marker, axis]
-            if layout.order < NORMAL_EQUATIONS:
-                continue
-            for i in range(3):
-                row[i] = seen.weight[c] * seen.to_pixel[c, axis, i]
             sums.corner[column, column] += seen.weight[c]
-            for a in range(geometric):
-                entry = _dot(row, seen.by_geometry[:, a])
-                sums.corner[column, seen.columns[a]] += entry
-                sums.corner[seen.columns[a], column] += entry
-            for k in range(moving):
-                moved = seen.by_coordinate[:, layout.free[seen.moving[k]]]
-                sums.border[frame, seen.moving[k], column] += _dot(row, moved)
+            seen.columns[count] = column
+            for i in range(3):
+                seen.rows[count, i] = seen.weight[c] * seen.to_pixel[c, axis, i]
+            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _add_shared(seen: Keypoint, moving: int, geometric: int, count: int, sums: Sums, frame: int) -> None:
+    """Add what one keypoint says of scales and of its own offset, and of what they and its biases have in common.
+
+    Of the corner only the lower half is filled; the columns are in rising order.
+    """
+    for a in range(geometric):
+        _carry(seen.information, seen.by_geometry[a], seen.rows[a])
+        sums.shared_gradient[seen.columns[a]] += _dot(seen.by_geometry[a], seen.pull)
+    for a in range(geometric):
+        for r in range(a, count):
+            sums.corner[seen.columns[r], seen.columns[a]] += _dot(seen.rows[r], seen.by_geometry[a])
+    for k in range(moving):
+        border, moved = sums.border[frame, seen.moving[k]], seen.moved[k]
+        for r in range(count):
+            border[seen.columns[r]] += _dot(seen.rows[r], moved)
 
 
 @njit(cache=True, error_model="numpy")

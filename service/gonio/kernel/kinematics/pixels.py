@@ -132,15 +132,18 @@ def fit_pixels(
         solved = _solve_sample(_part(trial, chosen), replace(state, q=state.q[chosen]), progress)
         equations = _linearise(solved)
         belief, factor = _believe(solved, equations)
+        count = len(model.coordinates.names)
+        covariance = np.zeros((uv_px.shape[1], count, count))
         if len(chosen) == uv_px.shape[1]:
-            parts = [_describe(solved, equations, belief, slice(None), factor)]
+            parts = [_describe(solved, equations, belief, slice(None), covariance, factor)]
         else:
             parts = []
             for window, keep in _windows(uv_px.shape[1]):
                 frames = np.arange(window.start, window.stop)
                 own = _solve_window(_part(trial, frames), replace(solved.state, q=state.q[frames]), progress)
-                parts.append(_describe(own, _linearise(own), belief, keep))
-    return _report(solved, belief, parts, start)
+                kept = covariance[window][keep]
+                parts.append(_describe(own, _linearise(own), belief, keep, kept))
+    return _report(solved, belief, parts, covariance, start)
 
 
 class _Stages:
@@ -183,7 +186,6 @@ class _Part(NamedTuple):
     """What is reported of a stretch."""
 
     q: Float[np.ndarray, "frame coordinate"]
-    covariance: Float[np.ndarray, "frame free free"]
     seen: Bool[np.ndarray, " frame"]
     swapped: Bool[np.ndarray, "camera frame"]
     kept: int
@@ -205,7 +207,9 @@ def _solve_sample(trial: Trial, start: State, progress: _Stages) -> _Solved:
 def _descend(
     trial: Trial, start: State, loss_scale: float, tolerance: float, progress: _Stages, *, shared: bool
 ) -> Found:
-    found = minimise(trial, start, _noise_px, loss_scale, tolerance, progress.iterate, shared=shared)
+    """Go down one stage; after a rough one another follows, which estimates the noise anew."""
+    settles = tolerance < ROUGH_TOLERANCE
+    found = minimise(trial, start, _noise_px, loss_scale, tolerance, progress.iterate, shared=shared, settles=settles)
     progress.finish()
     return found
 
@@ -343,20 +347,25 @@ def _believe(solved: _Solved, equations: Equations) -> tuple[_Belief, BorderedFa
 
 
 def _describe(
-    solved: _Solved, equations: Equations, belief: _Belief, keep: slice, factor: BorderedFactor | None = None
+    solved: _Solved,
+    equations: Equations,
+    belief: _Belief,
+    keep: slice,
+    covariance: Float[np.ndarray, "frame coordinate coordinate"],
+    factor: BorderedFactor | None = None,
 ) -> _Part:
     """Collect what is reported of the frames that are kept, with a covariance that knows how residuals repeat each other.
 
-    A ``factor`` of the same equations is used up.
+    That is filled in; a ``factor`` of the same equations is used up.
     """
     trial = solved.trial
     error = equations.data.error_px
     squared = (error**2).sum(axis=-1) * (trial.confidence / solved.sigma_px[:, None, None]) ** 2
     seen = trial.confidence[:, keep] > 0
-    covariance = frame_covariance(trial, equations, belief.data_share, belief.shared_covariance, factor)
+    found = frame_covariance(trial, equations, belief.data_share, belief.shared_covariance, factor)
+    covariance[:, trial.free[:, None], trial.free] = found[keep]
     return _Part(
         q=solved.state.q[keep],
-        covariance=covariance[keep],
         seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= 2,
         swapped=solved.swapped[:, keep],
         kept=int(((squared[:, keep] < LOSS**2) & seen).sum()),
@@ -366,18 +375,19 @@ def _describe(
     )
 
 
-def _report(solved: _Solved, belief: _Belief, parts: list[_Part], start: Motion) -> PixelFit:
+def _report(
+    solved: _Solved,
+    belief: _Belief,
+    parts: list[_Part],
+    covariance: Float[np.ndarray, "frame coordinate coordinate"],
+    start: Motion,
+) -> PixelFit:
     """Put the parts together."""
     trial, state = solved.trial, solved.state
-    frames, count = len(start.times_s), len(trial.model.coordinates.names)
-    full, first = np.zeros((frames, count, count)), 0
-    for part in parts:
-        full[first : first + len(part.q), trial.free[:, None], trial.free] = part.covariance
-        first += len(part.q)
     model = personalise(trial.model, trial.priors, state)
     blind = _blind(np.concatenate([part.seen for part in parts]), start.times_s)
-    full[blind] = np.nan
-    full.setflags(write=False)  # so the record takes it as it is
+    covariance[blind] = np.nan
+    covariance.setflags(write=False)  # so the record takes it as it is
     converged = solved.converged and all(part.converged for part in parts)
     status = np.where(blind, TOO_FEW_MARKERS, SOLVED if converged else NOT_CONVERGED).astype(np.uint8)
     return PixelFit(
@@ -389,7 +399,7 @@ def _report(solved: _Solved, belief: _Belief, parts: list[_Part], start: Motion)
             status=status,
             iterations=np.concatenate([np.full(len(part.q), part.iterations) for part in parts]),
             residual_rms_m=start.residual_rms_m,
-            covariance=full,
+            covariance=covariance,
         ),
         model=model,
         log_scale=state.log_scale,

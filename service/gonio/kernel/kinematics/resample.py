@@ -38,9 +38,8 @@ def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
     first, second = np.where(share == 1.0, after, after - 1), np.where(share == 0.0, after - 1, after)
     values[~(known[first] & known[second])] = np.nan
     nearest = np.where(share < 0.5, after - 1, after)
-    covariance = None
-    if motion.covariance is not None:
-        covariance = _between(motion.covariance, first, second, share)
+    covariance = None if motion.covariance is None else _between(motion.covariance, first, second, share)
+    variance = None if motion.sd is None else _between(motion.sd**2, first, second, share)
     lost = np.isnan(values).all(axis=1)
     return replace(
         motion,
@@ -50,20 +49,21 @@ def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
         iterations=motion.iterations[nearest],
         residual_rms_m=motion.residual_rms_m[nearest],
         covariance=covariance,
+        sd=None if variance is None else np.sqrt(variance),
     )
 
 
 def _between(
-    covariance: Float[np.ndarray, "given coordinate coordinate"],
+    covariance: Float[np.ndarray, "given ..."],
     first: Int[np.ndarray, " frame"],
     second: Int[np.ndarray, " frame"],
     share: Float[np.ndarray, " frame"],
-) -> Float[np.ndarray, "frame coordinate coordinate"]:
-    """Interpolate linearly from the covariances of ``first`` to those of ``second``; read-only."""
+) -> Float[np.ndarray, "frame ..."]:
+    """Interpolate linearly from the covariances, or variances, of ``first`` to those of ``second``; read-only."""
     found = np.empty((len(share), *covariance.shape[1:]))
     for start in range(0, len(share), _BLOCK):
         some = slice(start, start + _BLOCK)
-        weight = share[some, None, None]
+        weight = share[some].reshape(-1, *(1,) * (covariance.ndim - 1))
         found[some] = (1.0 - weight) * covariance[first[some]] + weight * covariance[second[some]]
     found.setflags(write=False)
     return found

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from gonio.kernel.calibration.bundle import MAX_ITERATIONS, Bundle, adjust_poses
 from gonio.kernel.calibration.person import SAMPLE_HZ, SCALE_M, SIGMA_PX, held_out_error_px
 from gonio.kernel.geometry.cameras import undistort_rig
-from gonio.kernel.synchronization.looks import image_velocity
+from gonio.kernel.synchronization.looks import shift, smooth_tracks, velocity_of
 from gonio.records import ImagePoints, Rig, record
 
 Status = Literal["synchronous", "corrected", "unknown", "trusted"]
@@ -87,12 +87,37 @@ def estimate_delays(rig: Rig, keypoints: ImagePoints, min_confidence: float) -> 
         return _unknown(rig)
     weight = np.where(keypoints.confidence >= min_confidence, keypoints.confidence, 0.0)
     uv_px = undistort_rig(rig, keypoints.uv_px)
-    streams = _Streams(rig, uv_px, image_velocity(uv_px, rate_hz), weight, rate_hz, reach)
+    smooth_px = smooth_tracks(uv_px, rate_hz)
+    streams = _Streams(rig, uv_px, velocity_of(smooth_px, rate_hz), weight, rate_hz, reach)
     none = np.zeros(len(rig.cameras), dtype=int)
     lags = none
     if np.abs(_solve(streams, none, delays=True).delay_s).max() * rate_hz > SMALLEST_DELAY_FRAMES:
         lags = _search(streams)
-    return _judge(streams, lags, *_resolve(streams, lags))
+    found = _judge(streams, lags, *_resolve(streams, lags))
+    if found.status != "corrected":
+        return found
+    # To move raw keypoints by a part of a frame averages their noise away: half a frame then looks better than none, whatever
+    # the delay is. Smoothed ones gain nothing by it. Whether anything is known at all the raw ones tell, whose errors are new.
+    rest_s, _ = _resolve(replace(streams, uv_px=smooth_px), lags)
+    return replace(found, delay_s=lags / rate_hz + rest_s)
+
+
+def confirm_delays(
+    rig: Rig, keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"], min_confidence: float
+) -> Synchronization:
+    """Ask the movement whether delays that are known from elsewhere are its own: ``corrected`` if so, else ``unknown``.
+
+    Two cameras can be asked too: nothing is estimated, the poses stay as they are.
+    """
+    keypoints = keypoints.sampled
+    errors: list[float] = []
+    for one in (np.zeros(len(delay_s)), delay_s):
+        shifted = shift(keypoints, one)
+        weight = np.where(shifted.confidence >= min_confidence, shifted.confidence, 0.0)
+        errors.append(held_out_error_px(rig, undistort_rig(rig, shifted.uv_px), weight))
+    before, after = errors
+    found = replace(_unknown(rig), error_before_px=before, error_after_px=after)
+    return replace(found, status="corrected", delay_s=delay_s) if after < (1 - SMALLEST_GAIN) * before else found
 
 
 def trusted(rig: Rig) -> Synchronization:

@@ -38,10 +38,31 @@ def shift(keypoints: ImagePoints, delay_s: Float[np.ndarray, " camera"]) -> Imag
 def image_velocity(
     uv_px: Float[np.ndarray, "camera frame keypoint 2"], rate_hz: float
 ) -> Float[np.ndarray, "camera frame keypoint 2"]:
-    """Give how fast keypoints move in the images, px/s, by central differences of smoothed tracks; NaN beside gaps."""
-    velocity = np.full_like(uv_px, np.nan)
-    smooth = np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
-    velocity[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) * rate_hz / 2
+    """Give how fast keypoints move in the images, px/s, from smoothed tracks; NaN beside gaps."""
+    return velocity_of(smooth_tracks(uv_px, rate_hz), rate_hz)
+
+
+def smooth_tracks(
+    uv_px: Float[np.ndarray, "camera frame keypoint 2"], rate_hz: float
+) -> Float[np.ndarray, "camera frame keypoint 2"]:
+    """Low-pass keypoints over time in each picture, each run without a gap by itself."""
+    return np.stack([low_pass(of_camera, rate_hz, min(VELOCITY_HZ, 0.4 * rate_hz)) for of_camera in uv_px])
+
+
+def velocity_of(
+    smooth_px: Float[np.ndarray, "camera frame keypoint 2"], rate_hz: float
+) -> Float[np.ndarray, "camera frame keypoint 2"]:
+    """Differentiate smooth tracks by central differences of fourth order, px/s; of second order beside an end or a gap.
+
+    At 30 Hz those of second order lose 6 % of a movement of 3 Hz.
+    """
+    velocity = np.full_like(smooth_px, np.nan)
+    near = smooth_px[:, 2:] - smooth_px[:, :-2]
+    velocity[:, 1:-1] = near * rate_hz / 2
+    if smooth_px.shape[1] > 4:
+        far = smooth_px[:, 4:] - smooth_px[:, :-4]
+        exact = (8 * near[:, 1:-1] - far) * rate_hz / 12
+        velocity[:, 2:-2] = np.where(np.isfinite(exact), exact, velocity[:, 2:-2])
     return velocity
 
 

@@ -120,8 +120,9 @@ def _inflation(
     """Give the factor by which each keypoint's posterior covariance is too small, or too large.
 
     The posterior takes every observation for one of :data:`SIGMA_PX` that errs by itself. The residuals tell how large the
-    errors are, each camera's constant ones included: their level, by keypoint, as the track has drawn off three of each
-    moment's degrees of freedom. They also tell how long errors last: a mean over less than that is no better than one moment.
+    errors are, each camera's constant ones included: their level, by keypoint. They also tell how long errors last: a mean
+    over less than that is no better than one moment. Of each moment's degrees of freedom the track has drawn off three where
+    it is no better than one moment, and as much less as it is better: an error that it does not follow is still there to see.
     """
     keypoints = xyz_lab_m.shape[1]
     chosen = np.arange(0, len(xyz_lab_m), max(1, len(xyz_lab_m) // MOST_JUDGED))
@@ -136,12 +137,14 @@ def _inflation(
         if not seen.any() or not np.isfinite(covariance_m2[:, k]).all():
             continue
         cameras = seen.sum() / seen.any(axis=0).sum()
-        # Half of all |e|² of two normals lie below 1.386.
-        level = np.median((error[:, :, k][seen] ** 2).sum(axis=-1)) / 1.386 * 2.0 * cameras / (2.0 * cameras - 3.0)
+        level = np.median((error[:, :, k][seen] ** 2).sum(axis=-1)) / 1.386  # half of all |e|² of two normals lie below
         moments = chosen[seen[:, chosen].any(axis=0)]
         single = _single_moment_m2(projections, homogeneous[:, moments, k], (weight * kept)[:, moments, k])
         fused = np.trace(covariance_m2[moments, k], axis1=1, axis2=2)
-        factor[k] = level * np.clip(last, 1.0, max(1.0, float(np.median(single / fused)))) if len(moments) else 1.0
+        if len(moments):
+            most = max(1.0, float(np.median(single / fused)))
+            lasting = float(np.clip(last, 1.0, most))
+            factor[k] = level * lasting * 2.0 * cameras / (2.0 * cameras - 3.0 * lasting / most)
     return factor
 
 
