@@ -148,16 +148,16 @@ class Client:
     def _upload_in_pieces(self, session_id: str, file: IO[bytes], size: int, told: dict[str, str]) -> Document:
         """Upload by tus 1.0: one request, and after each cut another one from where the service stands."""
         metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in told.items())
-        made = self._request(
-            "POST",
-            f"/v1/sessions/{session_id}/uploads",
-            headers={**_TUS, "Upload-Length": str(size), "Upload-Metadata": metadata},
-        )
-        url, offset, cuts_in_a_row = made.headers["Location"], 0, 0
+        begin = {**_TUS, "Upload-Length": str(size), "Upload-Metadata": metadata}
+        url, offset, cuts_in_a_row = "", 0, 0
         while True:
             try:
                 if cuts_in_a_row:
                     time.sleep(min(0.1 * 2**cuts_in_a_row, 5.0))
+                if not url:
+                    made = self._request("POST", f"/v1/sessions/{session_id}/uploads", headers=begin)
+                    url = made.headers["Location"]
+                elif cuts_in_a_row:
                     answer = self._request("HEAD", url, headers=_TUS)
                     cuts_in_a_row = 1 if int(answer.headers["Upload-Offset"]) > offset else cuts_in_a_row
                     offset = int(answer.headers["Upload-Offset"])
