@@ -81,8 +81,10 @@ def test_the_same_analysis_is_not_computed_twice(lab, session, journal):
         lab.client.wait(job.json()["id"], timeout_s=20)
 
 
-def test_lists_tell_their_next_page_in_a_header(lab, session):
-    page = lab.http.get("/v1/jobs", params={"limit": 1})
+def test_lists_tell_their_next_page_in_a_header(lab):
+    for name in ("first", "second"):
+        lab.client.create_session(name=name)
+    page = lab.http.get("/v1/sessions", params={"limit": 1})
     link = page.headers["link"]
     assert link.endswith('>; rel="next"')
     following = lab.http.get(link[1 : link.index(">")])

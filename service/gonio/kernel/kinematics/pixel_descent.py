@@ -28,7 +28,7 @@ from gonio.kernel.kinematics.pixel_system import (
 from gonio.kernel.kinematics.pixel_terms import GRADIENT, NORMAL_EQUATIONS
 
 TOLERANCE_RAD = 1e-5
-MAX_ITERATIONS = 40
+MAX_ITERATIONS = 100
 LARGEST_STEP_RAD = 0.6
 REMEMBERED = 8
 
