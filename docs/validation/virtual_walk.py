@@ -18,8 +18,9 @@ import matplotlib.pyplot as plt  # noqa: E402 - after the choice of what draws
 
 from gonio.formats.osim import read_osim  # noqa: E402 - the cache goes first
 from gonio.kernel.body.forward import marker_positions  # noqa: E402 - the cache goes first
+from gonio.kernel.body.soles import BALL, HEEL, mark_soles, measure_sole  # noqa: E402 - the cache goes first
 from gonio.kernel.virtual_lab import Limp, grow, truth_at, walk  # noqa: E402 - the cache goes first
-from gonio.kernel.virtual_lab.feet import BALL, HEEL, directions, heels_on_floor, mark_soles, measure_sole  # noqa: E402 - the cache goes first
+from gonio.kernel.virtual_lab.feet import directions, heels_on_floor  # noqa: E402 - the cache goes first
 from gonio.kernel.virtual_lab.normal_gait import normal_gait  # noqa: E402 - the cache goes first
 from gonio.kernel.virtual_lab.steps import pace_of  # noqa: E402 - the cache goes first
 from gonio.kernel.virtual_lab.wanted import normal_phase  # noqa: E402 - the cache goes first

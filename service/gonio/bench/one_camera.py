@@ -16,6 +16,7 @@ from jaxtyping import Float
 from gonio.bench import Bench
 from gonio.bench.points.chain import choose, find_motion, find_points
 from gonio.bench.realism import read_balancing
+from gonio.demo.virtual import true_motion
 from gonio.errors import GonioError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
@@ -27,7 +28,7 @@ from gonio.kernel.virtual_lab import film, grow, walk
 from gonio.kernel.virtual_lab.effects import Detector, Effects
 from gonio.pipeline.monocular import fit_view, scale_to_stature
 from gonio.pipeline.params import FOREIGN_CONFIDENCE, KeypointParameters, Parameters, Subject
-from gonio.records import BodyModel, Camera, Motion, Rig, VirtualTrial
+from gonio.records import BodyModel, Camera, Rig, VirtualTrial
 from gonio.resources import models_dir
 
 WALKERS, FIRST_SEED = 12, 100
@@ -126,7 +127,7 @@ def measure(seed: int, view_deg: float) -> Score:
     body = scale_to_stature(trial.points, subject).value
     asked = Parameters(subject=subject, keypoints=KeypointParameters(rate="exact"))
     outcome = fit_view(body, trial.points, trial.rig, asked)
-    motion, truth = outcome.value.motion, _as_motion(trial)
+    motion, truth = outcome.value.motion, true_motion(trial)
     angles = [a for a in find_clinical_angles(motion.model) if a.name == "knee_flexion"]
     marked = {found.where for found in outcome.findings if found.code == "view-unreliable"}
     first, second = (f"{angle.side} knee flexion" in marked for angle in angles)
@@ -195,16 +196,3 @@ def camera_at(view_deg: float) -> Camera:
 def _stature_m(body: BodyModel) -> float:
     place = marker_positions(body, body.coordinates.default[None])[0]
     return float(place[body.markers.index("vertex"), 1] - place[body.markers.index("heel_r"), 1])
-
-
-def _as_motion(trial: VirtualTrial) -> Motion:
-    truth, frames = trial.truth, len(trial.truth.times_s)
-    return Motion(
-        coordinate_names=truth.coordinate_names,
-        rotational=trial.walk.body.coordinates.rotational,
-        times_s=truth.times_s,
-        values=truth.q,
-        status=np.zeros(frames, dtype=np.uint8),
-        iterations=np.zeros(frames, dtype=int),
-        residual_rms_m=np.zeros(frames),
-    )

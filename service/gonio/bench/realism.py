@@ -5,7 +5,6 @@ keypoints), and OpenSim's Gait2354 example with two force plates (ground forces,
 docs/validation/virtual-lab.md.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from gonio.errors import GonioError
 from gonio.formats.calibration import read_calibration
 from gonio.formats.markerset import read_markerset
 from gonio.formats.mot import read_mot
-from gonio.formats.openpose import BODY_25B, gonio_names
+from gonio.formats.openpose import BODY_25B, PoseFile, gonio_names, read_poses
 from gonio.formats.osim import read_osim
 from gonio.kernel.calibration.person import refine_on_person
 from gonio.kernel.geometry.cameras import focal_lengths_px, project, projection_matrices, undistort_rig
@@ -87,7 +86,7 @@ def read_balancing() -> tuple[Rig, ImagePoints]:
     need(BALANCING)
     rig = read_calibration(BALANCING / "calibration" / "Calib.qca.txt")
     tracks = [
-        _follow(sorted(folder.glob("*.json"))) for folder in sorted((BALANCING / "body25b_json/balancing").iterdir())
+        _follow(read_poses(folder, "body25b")) for folder in sorted((BALANCING / "body25b_json/balancing").iterdir())
     ]
     found = np.stack(tracks)
     confidence = found[..., 2].copy()
@@ -101,10 +100,12 @@ def read_balancing() -> tuple[Rig, ImagePoints]:
     )
 
 
-def _follow(files: list[Path]) -> Float[np.ndarray, "frame keypoint 3"]:
+def _follow(poses: PoseFile) -> Float[np.ndarray, "frame keypoint 3"]:
+    """Follow the tallest person of the first frame; what was not found is 0, 0, 0."""
     track: list[np.ndarray] = []
-    for file in files:
-        people = [np.reshape(p["pose_keypoints_2d"], (-1, 3)) for p in json.loads(file.read_text())["people"]]
+    everybody = np.concatenate([np.nan_to_num(poses.uv_px), poses.confidence[..., None]], axis=-1)
+    for frame in everybody:
+        people = [person for person in frame if person.any()]
         if track:
             track.append(min(people, key=lambda person: _distance(person, track[-1])))
         else:

@@ -26,6 +26,7 @@ from gonio.pipeline import analyse
 from gonio.pipeline.folder import find_capture_files
 from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import GaitReport
+from gonio.pipeline.rounding import array_of
 from gonio.pipeline.run import LocalRunner
 from gonio.records import FEET, VirtualTrial
 from gonio.resources import models_dir
@@ -140,8 +141,8 @@ def torque_errors_nm_kg(trial: VirtualTrial, report: GaitReport) -> tuple[np.nda
         true = -angle.sign * trial.truth.moment_of(angle.coordinate) / mass_kg
         torques = report.kinetics.torques if report.kinetics else []
         found = next((t for t in torques if (t.joint, t.side) == ("knee", angle.side)), None)
-        errors.append(np.full(len(true), np.nan) if found is None else _numbers(found.values_nm_kg) - true)
-        bands.append(np.full(len(true), np.nan) if found is None else _numbers(found.band_nm) / report.body.mass_kg)
+        errors.append(np.full(len(true), np.nan) if found is None else array_of(found.values_nm_kg) - true)
+        bands.append(np.full(len(true), np.nan) if found is None else array_of(found.band_nm) / report.body.mass_kg)
     return np.concatenate(errors), np.concatenate(bands)
 
 
@@ -173,7 +174,7 @@ def is_as_published(report: GaitReport) -> bool:
     third of its peak in the middle of it.
     """
     for curve in report.gait.curves:
-        mean = _numbers(curve.mean)
+        mean = array_of(curve.mean)
         if np.isnan(mean).any():
             continue
         if curve.quantity == "knee_flexion":
@@ -201,7 +202,3 @@ def summarise(bench: Bench, scores: list[Score]) -> None:
     bench.add("events_worst_ms", float(events_ms.max()), "ms")
     bench.add("events_missed", sum(score.missed_events for score in scores), "1")
     bench.add("as_published", sum(score.is_as_published for score in scores), f"of {len(scores)}")
-
-
-def _numbers(values: list[float | None]) -> Float[np.ndarray, " frame"]:
-    return np.array([np.nan if value is None else value for value in values])

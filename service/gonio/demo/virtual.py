@@ -28,6 +28,7 @@ from gonio.pipeline.folder import find_capture_files
 from gonio.pipeline.reconstruction import SEGMENTS
 from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import Angle, GaitReport
+from gonio.pipeline.rounding import array_of
 from gonio.pipeline.run import LocalRunner, ReportFiles
 from gonio.records import Camera, Motion, VirtualTrial, Walk
 from gonio.resources import models_dir
@@ -132,8 +133,8 @@ def compare_angles(trial: VirtualTrial, report: GaitReport) -> list[AngleError]:
     for joint in JOINTS:
         errors, bars = [], []
         for angle in (a for a in report.angles if a.joint == joint):
-            errors.append(_numbers(angle.values_deg) - true[_key(angle)])
-            bars.append(1.96 * _numbers(angle.sd_deg))
+            errors.append(array_of(angle.values_deg) - true[_key(angle)])
+            bars.append(1.96 * array_of(angle.sd_deg))
         error, bar = np.stack(errors), np.stack(bars)
         offset = np.nanmean(error, axis=1, keepdims=True)
         away = error - offset
@@ -180,8 +181,17 @@ def error_lines(trial: VirtualTrial, report: GaitReport) -> list[str]:
 
 def _true_angles(trial: VirtualTrial) -> dict[tuple[str, str], Float[np.ndarray, " frame"]]:
     """Give the true course of each angle of a report, degrees, by joint and side."""
+    motion = true_motion(trial)
+    return {
+        (angle.name.partition("_")[0], angle.side): clinical_deg(motion, angle)
+        for angle in find_clinical_angles(trial.walk.body)
+    }
+
+
+def true_motion(trial: VirtualTrial) -> Motion:
+    """Give a virtual trial's true motion as inverse kinematics would report it, without an error."""
     truth, frames = trial.truth, len(trial.truth.times_s)
-    motion = Motion(
+    return Motion(
         coordinate_names=truth.coordinate_names,
         rotational=trial.walk.body.coordinates.rotational,
         times_s=truth.times_s,
@@ -189,17 +199,8 @@ def _true_angles(trial: VirtualTrial) -> dict[tuple[str, str], Float[np.ndarray,
         status=np.zeros(frames, dtype=np.uint8),
         iterations=np.zeros(frames, dtype=int),
         residual_rms_m=np.zeros(frames),
-        covariance=None,
     )
-    return {
-        (angle.name.partition("_")[0], angle.side): clinical_deg(motion, angle)
-        for angle in find_clinical_angles(trial.walk.body)
-    }
 
 
 def _key(angle: Angle) -> tuple[str, str]:
     return angle.joint, angle.side
-
-
-def _numbers(values: list[float | None]) -> Float[np.ndarray, " frame"]:
-    return np.array([np.nan if value is None else value for value in values])

@@ -15,9 +15,10 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from gonio.pipeline.report_base import Series, Side
+from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_gait import CycleCurve, GaitReportSection
 from gonio.pipeline.report_schema import Angle
+from gonio.pipeline.rounding import array_of
 
 COLOURS: dict[Side, str] = {"right": "#D55E00", "left": "#0072B2"}
 """Vermillion and blue of the palette of Okabe & Ito: told apart by all common kinds of colour vision."""
@@ -75,7 +76,7 @@ def angle_figure(time_s: Sequence[float], angles: Sequence[Angle]) -> str:
     rows = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for axes, name in zip(rows, names, strict=True):
         for angle in (a for a in angles if a.name == name):
-            values, sd = _numbers(angle.values_deg), _numbers(angle.sd_deg)
+            values, sd = array_of(angle.values_deg), array_of(angle.sd_deg)
             _draw_band(axes, time_s, values, 1.96 * sd, angle.side)
             axes.plot(time_s, values, color=COLOURS[angle.side], linestyle=DASHES[angle.side], linewidth=1.5)
         _dress(axes, name, "degrees")
@@ -99,16 +100,16 @@ def _layout(quantities: dict[str, list[CycleCurve]]) -> list[list[str]]:
 def _draw_quantity(axes: Axes, curves: Sequence[CycleCurve], gait: GaitReportSection, *, last: bool) -> None:
     norm = next((c.norm for c in curves if c.norm is not None), None)
     if norm is not None:
-        mean, sd = _numbers(norm.mean), _numbers(norm.sd)
+        mean, sd = array_of(norm.mean), array_of(norm.sd)
         axes.fill_between(PERCENT, mean - sd, mean + sd, color=NORM, alpha=0.3, linewidth=0)
     for curve in curves:
         counts = [c.left_out == "" for c in gait.cycles if c.side == curve.side]
         kept = [cycle for cycle, counted in zip(curve.cycles, counts, strict=True) if counted]
         if len(kept) > 1:
             for cycle in kept:
-                axes.plot(PERCENT, _numbers(cycle), color=COLOURS[curve.side], linewidth=0.5, alpha=0.55)
-        mean = _numbers(curve.mean)
-        _draw_band(axes, PERCENT, mean, 1.96 * _numbers(curve.error_sd), curve.side)
+                axes.plot(PERCENT, array_of(cycle), color=COLOURS[curve.side], linewidth=0.5, alpha=0.55)
+        mean = array_of(curve.mean)
+        _draw_band(axes, PERCENT, mean, 1.96 * array_of(curve.error_sd), curve.side)
         axes.plot(PERCENT, mean, color=COLOURS[curve.side], linestyle=DASHES[curve.side], linewidth=2.0)
         toe_off = _phase_marks(gait, curve.side)[2]
         axes.axvline(toe_off, color=COLOURS[curve.side], linestyle=DASHES[curve.side], linewidth=0.9, alpha=0.8)
@@ -178,10 +179,6 @@ def _dress(axes: Axes, title: str, unit: str) -> None:
     axes.tick_params(labelsize=8.5, colors=SOFT, labelcolor=INK)
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0)
-
-
-def _numbers(values: Series) -> np.ndarray:
-    return np.array([np.nan if v is None else v for v in values], dtype=float)
 
 
 def svg_text(figure: Figure, description: str) -> str:

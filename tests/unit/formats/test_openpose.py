@@ -20,6 +20,7 @@ from gonio.formats.openpose import (
     write_poses,
 )
 from gonio.resources import models_dir
+from gonio.vision.model_cards import load_card
 
 
 def test_sides_and_words_are_written_out() -> None:
@@ -55,6 +56,12 @@ def test_every_known_layout_has_a_card_that_places_it() -> None:
         card = read_markerset(models_dir() / "markersets" / f"{layout}.toml")
         assert set(card.keypoint_names) <= set(names), layout
         assert len(set(names)) == len(names)
+
+
+def test_keypoints_of_blazepose_are_in_the_order_of_its_network() -> None:
+    card = load_card("blazepose_heavy").keypoints
+    assert card is not None
+    assert LAYOUTS["blazepose33"] == card.names
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
