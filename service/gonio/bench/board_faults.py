@@ -134,7 +134,8 @@ def measure_truth(bench: Bench) -> None:
         nees.append(e @ np.linalg.solve(C, e) / free.sum())
     bench.add("virtual_volume_error_mm", float(np.median(volume_mm)), "mm", at_most=1.5)
     bench.add("virtual_volume_error_p95_mm", np.percentile(volume_mm, 95), "mm")
-    bench.add("virtual_focal_error_pct", np.percentile(focal_pct, 95), "%", at_most=0.2)
+    bench.add("virtual_focal_error_pct", float(np.median(focal_pct)), "%", at_most=0.2)
+    bench.add("virtual_focal_error_p95_pct", np.percentile(focal_pct, 95), "%")
     bench.add("virtual_wrong_basins", np.sum(np.array(turned_rad) > WRONG_BASIN_RAD), "seeds", at_most=0)
     bench.add("virtual_normalised_variance", float(np.mean(nees)), "1", at_least=0.8, at_most=1.25)
 

@@ -259,8 +259,6 @@ def _shear(
         shear_n = by_template(load, levers, numbers.template, coefficients.knots, amplitude)
     else:
         shear_n = through_pivot(load, levers, numbers.pivot)
-        if task != "landing":
-            return shear_n, amplitude
     return feed_back_moment(body, load, levers, shear_n, numbers.moment_gain, coefficients), amplitude
 
 
