@@ -154,36 +154,31 @@ class Client:
             try:
                 if cuts_in_a_row:
                     time.sleep(min(0.1 * 2**cuts_in_a_row, 5.0))
+                place = ""
                 if not url:
-                    made = self._request("POST", f"/v1/sessions/{session_id}/uploads", headers=begin)
-                    url = made.headers["Location"]
+                    url = self._request("POST", f"/v1/sessions/{session_id}/uploads", headers=begin).headers["Location"]
                 elif cuts_in_a_row:
-                    answer = self._request("HEAD", url, headers=_TUS)
-                    cuts_in_a_row = 1 if int(answer.headers["Upload-Offset"]) > offset else cuts_in_a_row
-                    offset = int(answer.headers["Upload-Offset"])
-                    if "Content-Location" in answer.headers:
-                        break
-                file.seek(offset)
-                answer = self._request(
-                    "PATCH",
-                    url,
-                    content=_read_on(file),
-                    headers={
-                        **_TUS,
-                        "Upload-Offset": str(offset),
-                        "Content-Type": "application/offset+octet-stream",
-                        "Content-Length": str(size - offset),
-                    },
-                )
-                break
+                    stands = self._request("HEAD", url, headers=_TUS).headers
+                    cuts_in_a_row = 1 if int(stands["Upload-Offset"]) > offset else cuts_in_a_row
+                    offset = int(stands["Upload-Offset"])
+                    place = stands.get("Content-Location", "")
+                place = place or self._send_rest(url, file, offset, size)
+                return next(each for each in self.files(session_id) if each["content"] == place)
             except GonioError as error:
-                # A cut, a service that starts anew, or the lock of the request that was cut: all of them pass.
-                passes = isinstance(error, ResourceError) and error.code != "disk-full"
                 cuts_in_a_row += 1
-                if cuts_in_a_row > MOST_CUTS or not (passes or error.details.get("status") == 423):
+                if cuts_in_a_row > MOST_CUTS or not _passes(error):
                     raise
-        place = answer.headers["Content-Location"]
-        return next(each for each in self.files(session_id) if each["content"] == place)
+
+    def _send_rest(self, url: str, file: IO[bytes], offset: int, size: int) -> str:
+        """Send an upload from an offset to its end, and give the place of the file that it became."""
+        file.seek(offset)
+        headers = {
+            **_TUS,
+            "Upload-Offset": str(offset),
+            "Content-Type": "application/offset+octet-stream",
+            "Content-Length": str(size - offset),
+        }
+        return self._request("PATCH", url, content=_read_on(file), headers=headers).headers["Content-Location"]
 
     def files(self, session_id: str) -> list[Document]:
         """List a session's files."""
@@ -351,6 +346,17 @@ class _Counted:
 
     def seekable(self) -> bool:
         return True
+
+
+def _passes(error: GonioError) -> bool:
+    """Tell whether an upload may be gone on with: after a cut, or while its service starts anew.
+
+    The request that was cut may still hold the upload (423), and still write what had come (another offset).
+    """
+    status = error.details.get("status")
+    if status in (423, 429) or error.code == "upload-offset-wrong":
+        return True
+    return isinstance(error, ResourceError) and status != 507
 
 
 def _read_on(file: IO[bytes]) -> Iterator[bytes]:

@@ -1,5 +1,6 @@
 """Uploads by tus 1.0: cut, gone on with, refused, given up; and the server killed in the middle."""
 
+import asyncio
 import base64
 import hashlib
 import random
@@ -10,9 +11,13 @@ from contextlib import suppress
 
 import httpx
 import pytest
+from starlette.requests import ClientDisconnect, Request
 
+import gonio.client
+import gonio.http.uploads
 from gonio.client import Client
-from gonio.errors import InputError
+from gonio.errors import InputError, ResourceError
+from gonio.http.uploads import body_of
 from gonio.jobs.partial import PartialUploads, Upload
 from gonio.jobs.spool import Spool
 
@@ -149,7 +154,7 @@ def test_two_senders_of_one_upload_one_is_refused_at_once_and_nobody_else_waits(
     content = b"x" * 2_500_000
     url = begin(lab, session, content, "a4.mp4")
     with half_a_piece(lab, url, content, 2_000_000):
-        deadline_s = time.monotonic() + 5
+        deadline_s = time.monotonic() + 30
         while lab.http.head(url, headers=TUS).headers.get("upload-offset", "0") == "0":  # 423 until the first write
             assert time.monotonic() < deadline_s
         assert refusal(patch(lab, url, 0, content)) == (423, "upload-locked")
@@ -180,6 +185,74 @@ def test_uploads_end_with_their_session_and_expire(lab, tmp_path):
         uploads.get("lab", upload.id)
     uploads.sweep()
     assert not (tmp_path / upload.id).exists()
+
+
+def test_a_sender_that_falls_silent_is_taken_for_gone(monkeypatch):
+    """Or a connection that nobody closed would hold the upload for hours, and its sender could not go on with it."""
+    monkeypatch.setattr(gonio.http.uploads, "SILENCE_S", 0.05)
+    messages = [{"type": "http.request", "body": b"abc", "more_body": True}]
+
+    async def receive():
+        if not messages:
+            await asyncio.Event().wait()
+        return messages.pop()
+
+    async def read(received: list[bytes]) -> None:
+        async for chunk in body_of(Request({"type": "http", "method": "PATCH", "headers": []}, receive)):
+            received.append(chunk)
+
+    received: list[bytes] = []
+    with pytest.raises(ClientDisconnect):
+        asyncio.run(read(received))
+    assert received == [b"abc"]
+
+
+def test_the_client_goes_on_whatever_the_cut_request_still_does_and_whenever_the_service_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(gonio.client, "RESUMABLE_BYTES", 1)
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    (tmp_path / "a.mp4").write_bytes(b"0123456789")
+    file = {"content": "/v1/sessions/s/files/f"}
+    whole = {"Upload-Offset": "10", "Content-Location": file["content"]}
+    wrong_offset = {"code": "upload-offset-wrong", "detail": "", "hint": ""}
+    script = [
+        ("POST", "", httpx.ConnectError("starting anew")),
+        ("POST", "", httpx.Response(201, headers={"Location": "/v1/uploads/u"})),
+        ("PATCH", "0", httpx.WriteError("cut")),
+        ("HEAD", "", httpx.Response(200, headers={"Upload-Offset": "3"})),  # the cut request still writes
+        ("PATCH", "3", httpx.Response(409, json=wrong_offset)),
+        ("HEAD", "", httpx.Response(423)),
+        ("HEAD", "", httpx.Response(200, headers={"Upload-Offset": "6"})),
+        ("PATCH", "6", httpx.Response(204, headers=whole)),
+        ("GET", "", httpx.ReadError("killed before it told of the file")),
+        ("HEAD", "", httpx.Response(200, headers=whole)),
+        ("GET", "", httpx.Response(200, json={"items": [file]})),
+    ]
+    sent: list[bytes] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        method, offset, said = script.pop(0)
+        assert (request.method, request.headers.get("Upload-Offset", "")) == (method, offset)
+        if method == "PATCH":
+            sent.append(request.read())
+        if isinstance(said, Exception):
+            raise said
+        return said
+
+    with Client(transport=httpx.MockTransport(answer)) as client:
+        assert client.upload("s", tmp_path / "a.mp4") == file
+    assert (script, sent) == ([], [b"0123456789", b"3456789", b"6789"])
+
+
+def test_the_client_gives_up_at_once_what_no_patience_mends(tmp_path, monkeypatch):
+    monkeypatch.setattr(gonio.client, "RESUMABLE_BYTES", 1)
+    (tmp_path / "a.mp4").write_bytes(b"0123456789")
+    full = httpx.Response(507, json={"code": "quota-exceeded", "detail": "", "hint": ""})
+    with (
+        Client(transport=httpx.MockTransport(lambda _: full)) as client,
+        pytest.raises(ResourceError) as caught,
+    ):
+        client.upload("s", tmp_path / "a.mp4")
+    assert caught.value.code == "quota-exceeded"
 
 
 @pytest.mark.slow

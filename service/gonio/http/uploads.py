@@ -4,6 +4,7 @@ Starlette's own form parser would first fill a temporary file of unlimited size,
 read again, and would cut a path off the file's name without a word.
 """
 
+import asyncio
 import re
 from collections.abc import AsyncGenerator
 from contextlib import ExitStack, asynccontextmanager
@@ -12,13 +13,15 @@ from fastapi.concurrency import run_in_threadpool
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from gonio.errors import InputError
 from gonio.jobs.filenames import check_file_name
 from gonio.jobs.spool import Incoming, Spool
 
 MAX_FIELD_BYTES = 1000
+SILENCE_S = 20.0
+"""A sender of whom nothing comes for so long is gone. Its connection may live for hours yet, and with it what it holds."""
 _FILE_NAME = re.compile(rb';\s*filename="((?:[^"\\]|\\.)*)"', re.IGNORECASE)
 
 
@@ -99,6 +102,24 @@ class Form:
         self.ended = True
 
 
+async def body_of(request: Request) -> AsyncGenerator[bytes]:
+    """Give a body as it comes.
+
+    Raises:
+        ClientDisconnect: The sender went away in the middle, or fell silent.
+    """
+    chunks = request.stream()
+    while True:
+        try:
+            async with asyncio.timeout(SILENCE_S):
+                chunk = await anext(chunks)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise ClientDisconnect from None
+        yield chunk
+
+
 @asynccontextmanager
 async def receive_form(request: Request, spool: Spool) -> AsyncGenerator[Form]:
     """Receive a form to its end; after the block, nothing is left of a file that wasn't accepted.
@@ -107,7 +128,7 @@ async def receive_form(request: Request, spool: Spool) -> AsyncGenerator[Form]:
         HTTPException: 415 if the body is no form.
         InputError: ``malformed-body``, ``upload-truncated``, ``file-missing``, ``bad-file-name``, ``file-too-large``.
         ResourceError: ``disk-full``.
-        ClientDisconnect: The sender went away in the middle.
+        ClientDisconnect: The sender went away in the middle, or fell silent.
     """
     media_type, options = parse_options_header(request.headers.get("content-type"))
     if media_type != b"multipart/form-data":
@@ -119,7 +140,7 @@ async def receive_form(request: Request, spool: Spool) -> AsyncGenerator[Form]:
     spool.check_room(announced)
     with ExitStack() as stack:
         form = Form(options[b"boundary"], spool, stack)
-        async for chunk in request.stream():
+        async for chunk in body_of(request):
             await run_in_threadpool(form.feed, chunk)
         if not form.ended:
             raise InputError(

@@ -14,6 +14,7 @@ from gonio.errors import InputError
 from gonio.http.dependencies import Id, TheService, TheSettings, Writer
 from gonio.http.problems import GUARD, fails
 from gonio.http.routes.files import ACCEPTING, UNLIMITED, check_fields
+from gonio.http.uploads import body_of
 from gonio.jobs.filenames import check_file_name
 from gonio.jobs.partial import CHECKSUMS, Upload
 from gonio.jobs.service import Service
@@ -175,7 +176,7 @@ async def _gathered(request: Request) -> AsyncGenerator[bytes]:
     """Give the body in pieces large enough to be worth a thread each, also what came before a cut."""
     content = bytearray()
     try:
-        async for chunk in request.stream():
+        async for chunk in body_of(request):
             content += chunk
             if len(content) >= WRITE_BYTES:
                 yield bytes(content)
