@@ -6,7 +6,6 @@ On SQLite with a folder, and on PostgreSQL with an S3 server; both are started h
 import os
 import random
 import tempfile
-import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,7 +17,8 @@ import numpy as np
 from gonio.bench import Bench, servers
 from gonio.bench.service_house import House, kill_at_random, open_house
 from gonio.bench.service_load import cut_at_random, load, p99_s
-from gonio.errors import GonioError, ResourceError
+from gonio.bench.service_outage import Server, outage
+from gonio.errors import ResourceError
 from gonio.settings import Settings
 
 KILLS = CUTS = 100
@@ -53,7 +53,7 @@ def run(_build_dir: Path) -> dict[str, Any]:
             with open_house(settings, folder, environment) as house:
                 _measure(bench, kind, house, make_capture(folder), share)
                 for name, server in outages.items():
-                    _outage(bench, name, house, server, folder)
+                    _outage(bench, name, house, server, make_capture(folder))
     return bench.to_json()
 
 
@@ -113,36 +113,13 @@ def _measure(bench: Bench, kind: str, house: House, capture: list[Path], share: 
     bench.add(f"{kind}: errors under load", seen.errors, "", at_most=0)
 
 
-def _outage(bench: Bench, name: str, house: House, server: Any, folder: Path) -> None:  # noqa: ANN401 - either server
-    """Stop a server for a while in the middle of a job; ask meanwhile, and see whether the job ends."""
-    journal = folder / f"journal-{name.replace(' ', '-')}"
-    journal.touch()
-    with house.client() as client:
-        session = client.create_session(name=name)["id"]
-        for path in make_capture(folder):
-            client.upload(session, path)
-        job = client.analyse(session, {"journal": str(journal), "seconds": 3.0})["id"]
-        while not journal.read_text():
-            time.sleep(0.05)
-        server.stop()
-        answers: dict[str, int] = {}
-        end_s = time.monotonic() + OUTAGE_S
-        while time.monotonic() < end_s:
-            try:
-                client.report_files(job)
-                code = "200"
-            except GonioError as error:
-                code = f"{error.details.get('status')} {error.code}"
-            answers[code] = answers.get(code, 0) + 1
-            time.sleep(0.5)
-        server.start()
-        back_s = time.monotonic()
-        state = client.wait(job, timeout_s=120)["state"]
-        bench.add(f"{name}: job succeeded", float(state == "succeeded"), "", at_least=1)
-        bench.add(f"{name}: job ended after", time.monotonic() - back_s, "s")
-        unclear = sum(count for code, count in answers.items() if code.startswith(("500", "None")))
-        bench.add(f"{name}: unclear answers", unclear, "", at_most=0)
-        bench.notes.append(f"{name}: answers for {OUTAGE_S:.0f} s: {_told(answers)}.")
+def _outage(bench: Bench, name: str, house: House, server: Server, capture: list[Path]) -> None:
+    seen = outage(house, server, capture, OUTAGE_S)
+    bench.add(f"{name}: job succeeded", float(seen.ended_as == "succeeded"), "", at_least=1)
+    # Beside the outage's own length: two stages of it, the first of which it met.
+    bench.add(f"{name}: job ended after its return, over the length of a stage", seen.ended_after_s / OUTAGE_S, "")
+    bench.add(f"{name}: unclear answers", seen.unclear, "", at_most=0)
+    bench.notes.append(f"{name}: answers for {OUTAGE_S:.0f} s: {_told(seen.answers)}.")
 
 
 def _told(counts: Mapping[str, int]) -> str:

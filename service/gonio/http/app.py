@@ -147,6 +147,7 @@ def create_app(settings: Settings, *, probe: Probe = probe_file) -> FastAPI:
     app.add_exception_handler(ClientDisconnect, problems.of_disconnect)
     app.add_exception_handler(GonioError, problems.of_gonio_error)
     app.add_exception_handler(OperationalError, problems.of_database_error)
+    app.add_exception_handler(OSError, problems.of_disk_error)
     app.add_exception_handler(HTTPException, problems.of_http_error)
     app.add_exception_handler(RequestValidationError, problems.of_invalid_request)
     for module in (sessions, files, uploads, analyses, jobs, reports, calibrations, keys, webhooks, meta, metrics):

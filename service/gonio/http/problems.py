@@ -4,12 +4,14 @@ The domain raises GonioErrors that know nothing of HTTP. A code that isn't in th
 code that is has a page of its own, ``/problems/<code>``, which the problem's ``type`` points to.
 """
 
+import errno
 import logging
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any, NamedTuple
 from uuid import uuid4
 
+import psycopg
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import OperationalError
@@ -19,7 +21,7 @@ from starlette.requests import Request
 from gonio import errors
 from gonio.jobs.database import database_unreachable
 from gonio.jobs.failure import describe
-from gonio.jobs.store import disk_full
+from gonio.jobs.store import disk_full, store_unreachable
 
 log = logging.getLogger(__name__)
 
@@ -219,8 +221,22 @@ def of_gonio_error(request: Request, error: Exception) -> JSONResponse:
 def of_database_error(request: Request, error: Exception) -> JSONResponse:
     """Answer that the database is out of reach, or that its disk is full."""
     assert isinstance(error, OperationalError)
-    told = disk_full() if "is full" in str(error.orig) else database_unreachable()
+    full = "is full" in str(error.orig) or isinstance(error.orig, psycopg.errors.DiskFull)
+    told = disk_full() if full else database_unreachable()
     told.__cause__ = error.orig
+    return of_gonio_error(request, told)
+
+
+def of_disk_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer that the disk is full, can't be written, or fails; any other error of the system is one of gonio's own."""
+    assert isinstance(error, OSError)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        told = disk_full()
+    elif error.errno in (errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM, errno.ESTALE, errno.ENODEV):
+        told = store_unreachable()
+    else:
+        return of_unforeseen_error(request, error)
+    told.__cause__ = error
     return of_gonio_error(request, told)
 
 

@@ -18,16 +18,14 @@ from sqlalchemy.orm import Session
 
 from gonio.errors import InputError, ResourceError
 from gonio.jobs.liveness import open_locks
-from gonio.jobs.postgres import is_postgres, lock_key, with_driver
+from gonio.jobs.postgres import PATIENCE_S, is_postgres, lock_key, with_driver
 from gonio.settings import Settings
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-PATIENCE_S = 600.0
-"""How long a worker waits for a database that is out of reach before it gives a job up."""
-LONGEST_PAUSE_S = 5.0
+LONGEST_PAUSE_S = 2.0
 
 
 class Database:

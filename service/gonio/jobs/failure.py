@@ -22,6 +22,13 @@ class StageCrashed(Exception):
         self.problem = problem
 
 
+class Suspended(BaseException):
+    """The database can't record how a job gets on, so nothing about the job is settled: its worker takes it up again.
+
+    No ``Exception``, or DBOS would record it as the outcome of the stage or of the job as soon as the database is back.
+    """
+
+
 def describe(error: Exception) -> Problem:
     """Describe an error for the reader of a job, who gets of an unforeseen one only its reference in the log."""
     if isinstance(error, StageCrashed):

@@ -5,7 +5,6 @@ killed server had written is there when the next one looks.
 """
 
 import base64
-import errno
 import hashlib
 import json
 import os
@@ -21,7 +20,6 @@ from uuid import uuid4
 from gonio.errors import InputError
 from gonio.jobs.liveness import hold_folder, try_hold_folder
 from gonio.jobs.spool import Spool
-from gonio.jobs.store import disk_full
 from gonio.pipeline.run import Role
 
 CHECKSUMS = ("sha256", "sha1", "md5")
@@ -216,7 +214,8 @@ class Piece:
 
         Raises:
             InputError: ``upload-too-long``; then nothing of the piece is kept.
-            ResourceError: ``disk-full``.
+            ResourceError: ``disk-full``, when the disk is at its floor.
+            OSError: It is full, or fails.
         """
         if self.offset + len(content) > self._length:
             self._undo()
@@ -226,13 +225,8 @@ class Piece:
                 code="upload-too-long",
             )
         self._check_room(len(content))
-        try:
-            self._file.write(content)
-            self._file.flush()
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise disk_full() from error
-            raise
+        self._file.write(content)
+        self._file.flush()
         self.offset += len(content)
         if self._hash is not None:
             self._hash.update(content)

@@ -13,6 +13,12 @@ KEEPALIVE = "-c tcp_keepalives_idle=10 -c tcp_keepalives_interval=5 -c tcp_keepa
 
 CONNECT_S = 5
 POLL_S = 0.1
+RECONNECT_S = 0.5
+PATIENCE_S = 600.0
+"""How long a worker waits for a database that is out of reach before it gives a job up."""
+
+_SILENCE = {"keepalives_idle": "10", "keepalives_interval": "5", "keepalives_count": "3", "tcp_user_timeout": "25000"}
+"""The client's side looks whether the server still lives: one whose network was cut would be waited for for hours."""
 
 
 def is_postgres(url: str) -> bool:
@@ -21,9 +27,32 @@ def is_postgres(url: str) -> bool:
 
 
 def with_driver(url: str) -> sa.URL:
-    """Give the URL of a PostgreSQL database with the one driver that gonio and DBOS use, and a bound on waiting."""
+    """Give the URL of a PostgreSQL database with the one driver that gonio and DBOS use, and bounds on waiting."""
     made = sa.make_url(url).set(drivername="postgresql+psycopg")
-    return made if "connect_timeout" in made.query else made.update_query_dict({"connect_timeout": str(CONNECT_S)})
+    bounds = {"connect_timeout": str(CONNECT_S), **_SILENCE}
+    return made.update_query_dict({name: value for name, value in bounds.items() if name not in made.query})
+
+
+def without_driver(url: str) -> str:
+    """Give the same as psycopg itself takes it."""
+    return with_driver(url).set(drivername="postgresql").render_as_string(hide_password=False)
+
+
+def connect_patiently(url: str, patience_s: float = PATIENCE_S) -> psycopg.Connection:
+    """Connect to a PostgreSQL database; while it is out of reach, try again.
+
+    For DBOS in a worker, which waits longer and longer between its own attempts, up to one and a half minutes, and ends a
+    workflow whose connection fails in a way that it doesn't know (a socket that is gone, a name that is not resolved).
+    """
+    address = without_driver(url)
+    end_s = time.monotonic() + patience_s
+    while True:
+        try:
+            return psycopg.connect(address)
+        except psycopg.OperationalError:
+            if time.monotonic() > end_s:
+                raise
+        time.sleep(RECONNECT_S)
 
 
 def lock_key(name: str) -> int:
@@ -38,7 +67,7 @@ class ServerLocks:
     """
 
     def __init__(self, url: str) -> None:
-        self._url = with_driver(url).set(drivername="postgresql").render_as_string(hide_password=False)
+        self._url = without_driver(url)
         self._connection: psycopg.Connection | None = None
         self._held: set[str] = set()
 

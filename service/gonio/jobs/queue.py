@@ -7,6 +7,7 @@ from dbos import DBOSClient, DBOSPortableJSONSerializer, WorkflowStatus
 from sqlalchemy.orm import Session
 
 from gonio.jobs.database import Database
+from gonio.jobs.postgres import is_postgres, with_driver
 from gonio.jobs.repository import Repository
 from gonio.jobs.tables import ACTIVE, JobRow, JobState
 
@@ -22,7 +23,7 @@ class Queue:
 
     def __init__(self, url: str) -> None:
         self._client = DBOSClient(
-            system_database_url=url,
+            system_database_url=with_driver(url).render_as_string(hide_password=False) if is_postgres(url) else url,
             application_name=APPLICATION,
             serializer=DBOSPortableJSONSerializer(),
             retry_connection_errors=False,

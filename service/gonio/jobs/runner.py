@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from dbos import DBOS
+from sqlalchemy.exc import DBAPIError
 
 from gonio.formats.record_file import read_record, write_record
-from gonio.jobs.failure import describe, revive
+from gonio.jobs.failure import Suspended, describe, revive
 from gonio.jobs.queue import PROGRESS
 from gonio.jobs.store import Store, Stored
 from gonio.pipeline.run import STAGE_SHARES, Estimate, Outcome, Progress
@@ -60,6 +61,8 @@ class DurableRunner:
                     "files": self._put_files(stage, before),
                     "seconds": time.monotonic() - begin_s,
                 }
+            except DBAPIError as error:  # of telling the progress: stages know no database
+                raise Suspended from error
             except Exception as error:
                 return {"problem": describe(error)}
 

@@ -1,6 +1,5 @@
 """Where uploads grow: a file that isn't whole yet is nobody's, and vanishes with its sender or its server."""
 
-import errno
 import hashlib
 import shutil
 from collections.abc import Generator
@@ -97,18 +96,14 @@ class Incoming:
 
         Raises:
             InputError: ``file-too-large``.
-            ResourceError: ``disk-full``.
+            ResourceError: ``disk-full``, when the disk is at its floor.
+            OSError: It is full, or fails.
         """
         self.size += len(chunk)
         self._spool.check_size(self.size)
         self._spool.check_room(len(chunk))
-        try:
-            self._file.write(chunk)
-            self._file.flush()  # so that a full disk is noticed here, and the probe sees all
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise disk_full() from error
-            raise
+        self._file.write(chunk)
+        self._file.flush()  # so that a full disk is noticed here, and the probe sees all
         self._hash.update(chunk)
 
     def close(self) -> None:

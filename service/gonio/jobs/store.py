@@ -182,11 +182,16 @@ def _telling() -> Generator[None]:
     except (BaseError, OSError) as error:
         if "os error 28" in str(error) or "No space left" in str(error):
             raise disk_full() from error
-        raise ResourceError(
-            "The store of files and results can't be used at the moment.",
-            hint="Try again in a minute; whoever runs the service finds the reason in its log.",
-            code="store-unreachable",
-        ) from error
+        raise store_unreachable() from error
+
+
+def store_unreachable() -> ResourceError:
+    """Say that files can't be kept or read."""
+    return ResourceError(
+        "The store of files and results can't be used at the moment.",
+        hint="Try again in a minute; whoever runs the service finds the reason in its log.",
+        code="store-unreachable",
+    )
 
 
 def disk_full() -> ResourceError:

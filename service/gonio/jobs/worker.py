@@ -1,6 +1,7 @@
 """The worker process: takes jobs from the queue, one at a time, and looks after the jobs of workers that died."""
 
 import ctypes
+import functools
 import logging
 import os
 import shutil
@@ -22,6 +23,7 @@ from gonio.jobs.desk import Desk, start_heartbeat
 from gonio.jobs.failure import Problem
 from gonio.jobs.liveness import open_locks
 from gonio.jobs.logs import set_up_logging
+from gonio.jobs.postgres import connect_patiently, is_postgres
 from gonio.jobs.queue import APPLICATION, QUEUE, Queue
 from gonio.jobs.repository import Repository, active_job_of_any_lab, active_jobs_of_all_labs, add_to_tallies
 from gonio.jobs.store import Store
@@ -43,6 +45,8 @@ STRANDED_EVERY_S = 10.0
 """How often a worker looks at all active jobs: there can be thousands."""
 OUTAGE_GRACE_S = 10.0
 """How long nobody is taken for dead after an outage of the database, in which all workers lose their locks."""
+SWEEPS_UNTIL_LOST = 3
+"""How many sweeps long a job of this worker may be off its desk: it was taken and isn't there yet, or ends just now."""
 SWEEPS_AFTER_END = 3
 """How many sweeps long a stage may go on whose job has ended elsewhere, on request or by another worker."""
 
@@ -114,6 +118,7 @@ class Worker:
         )
         self._careful_until_s = self._stranded_at_s = 0.0
         self._sweeps_after_end = 0
+        self._sweeps_off_desk: dict[str, int] = {}
 
     def alive(self) -> ExitStack:
         """Hold the lock that tells the other workers that this one lives."""
@@ -134,6 +139,9 @@ class Worker:
                 "run_migrations": False,
                 "serializer": DBOSPortableJSONSerializer(),  # plain JSON: writing to the database can't run code here
                 "log_level": "WARNING",
+                "db_engine_kwargs": (
+                    {"creator": functools.partial(connect_patiently, self._url)} if is_postgres(self._url) else None
+                ),
             }
         )
         DBOS.launch()
@@ -152,9 +160,10 @@ class Worker:
                 self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
             if time.monotonic() > self._careful_until_s:
                 self.take_over()
+            self.take_up_again()
             self.watch_desk()
         except (psycopg.OperationalError, OperationalError) as error:
-            log.warning("Worker %s can't reach the database: %s", self.name, error)
+            log.warning("Worker %s can't use the database: %s", self.name, error)
             self._careful_until_s = time.monotonic() + OUTAGE_GRACE_S
 
     def take_over(self) -> None:
@@ -174,6 +183,24 @@ class Worker:
         if time.monotonic() > self._stranded_at_s:
             self._queue_stranded_jobs()
             self._stranded_at_s = time.monotonic() + STRANDED_EVERY_S
+
+    def take_up_again(self) -> None:
+        """Put this worker's own jobs back into the queue that an error of the database has cut off in the middle.
+
+        Their workflows still count as its own, and it lives, so nobody else would take them over.
+        """
+        off_desk = {workflow.workflow_id for workflow in self._queue.pending(self.name)} - {self.desk.job_id}
+        self._sweeps_off_desk = {job_id: self._sweeps_off_desk.get(job_id, 0) + 1 for job_id in off_desk}
+        for job_id in [job_id for job_id, sweeps in self._sweeps_off_desk.items() if sweeps > SWEEPS_UNTIL_LOST]:
+            with self._workshop.database.read() as session:
+                job = active_job_of_any_lab(session, job_id)
+            if job is None:  # it has ended, and all that is missing is DBOS's note of it
+                continue
+            with self._workshop.database.write(job.lab) as session:  # no take-over: it isn't the job's fault
+                Repository(session, job.lab).lose_job(job_id, job.takeovers, job.steps_at_takeover)
+            log.warning("Worker %s takes up job %s again", self.name, job_id)
+            self._queue.resume(job_id)
+            del self._sweeps_off_desk[job_id]
 
     def clean_up(self) -> None:
         """Remove the work in progress: what is worth keeping is in the store."""

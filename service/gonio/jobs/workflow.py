@@ -12,11 +12,12 @@ from typing import Any, cast
 from uuid import uuid4
 
 from dbos import DBOS
+from sqlalchemy.exc import DBAPIError
 
 from gonio.formats.calibration_json import read_calibration_document
 from gonio.jobs.database import Database, patiently
 from gonio.jobs.desk import Desk
-from gonio.jobs.failure import Problem, describe
+from gonio.jobs.failure import Problem, Suspended, describe
 from gonio.jobs.logs import about
 from gonio.jobs.queue import WORKFLOW
 from gonio.jobs.repository import Repository, add_to_tallies
@@ -69,11 +70,20 @@ class Analysis:
         self._generation = 0
 
     def run(self) -> None:
-        """Run the job to its end, whatever that is; only cancellation and loss of ownership leave it early."""
+        """Run the job to its end, whatever that is.
+
+        Only cancellation, loss of ownership and an error of the database leave it early.
+
+        Raises:
+            Suspended: The database can't be used.
+        """
         with self._workshop.desk.working_on(self._job_id), about(job=self._job_id):
-            # No step: a worker that comes after a dead one must read it anew.
-            self._generation = patiently(self._read_generation)
-            self._run()
+            try:
+                # No step: a worker that comes after a dead one must read it anew.
+                self._generation = patiently(self._read_generation)
+                self._run()
+            except DBAPIError as error:
+                raise Suspended from error
 
     def _run(self) -> None:
         plan = DBOS.run_step({"name": "begin"}, patiently, self._begin)
@@ -81,6 +91,8 @@ class Analysis:
             return
         try:
             self._analyse(plan)
+        except DBAPIError:
+            raise
         except Exception as error:
             problem = describe(error)
             DBOS.run_step({"name": "fail"}, patiently, lambda: self._fail(problem))
