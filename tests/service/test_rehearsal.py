@@ -1,4 +1,5 @@
-"""A sample of `make bench NAME=service`: processes are killed at random moments, on both databases and both stores."""
+"""A sample of `make bench NAME=service`: processes are killed at random moments, on both databases and both stores, and the
+database goes away in the middle of a job."""
 
 import random
 
@@ -6,6 +7,7 @@ import pytest
 
 from gonio.bench.service import make_capture, make_settings
 from gonio.bench.service_house import VICTIMS, kill_at_random, open_house
+from gonio.bench.service_outage import outage
 from gonio.jobs.store import Store
 
 
@@ -25,6 +27,12 @@ def test_killing_at_random_loses_nothing_and_repeats_nothing(request, tmp_path, 
         assert set(seen.kills) == set(VICTIMS)
         assert (seen.jobs, seen.lost, seen.different) == (len(VICTIMS), 0, 0)
         assert (seen.surplus_reports, seen.repeated_stages) == (0, 0)
+        if database == "postgres":
+            # Over a socket, which is gone with its server: to DBOS an error that it doesn't know for an outage.
+            met = outage(house, request.getfixturevalue("postgres"), make_capture(tmp_path), 2.0)
+            assert met.ended_as == "succeeded"
+            assert met.answers["503 database-unreachable"] > 0
+            assert set(met.answers) <= {"503 database-unreachable", "200"}
         store = Store.open(settings.resolved_objects_url)
         with house.client() as client:
             for session in client.sessions():
