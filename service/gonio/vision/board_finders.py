@@ -11,7 +11,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from gonio.errors import InputError
 from gonio.records import Board
@@ -20,6 +20,12 @@ MIN_CORNERS = 6
 GATE_PX, GATE_SQUARES = 4.0, 0.15
 """A corner may lie this far from the plane through the others, whichever is more: 4 pixels, or what a strong lens bends
 within a board that fills the picture."""
+
+SURE_PX, STRAY = 0.5, 4.0
+"""Nor may it lie farther from it than half a pixel and four times as far as the median corner."""
+
+LEAST_WINDOW_PX, SMALL_WINDOW_PX = 3.0, 2
+"""OpenCV's window about a corner of a ChArUco board, half its side; and the one that small boards' corners are found in."""
 
 AGREEING = 0.8
 """This share of the markers in a picture must be the card's, and in their places within their square."""
@@ -167,8 +173,9 @@ def open_charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
 class CharucoFinder:
     """Finds ChArUco boards, also partly hidden ones.
 
-    OpenCV's detector has already refined the corners when it gives them. Refining again spoils them: the window then
-    reaches the markers (0.146 became 0.249 px on real boards).
+    OpenCV's detector has already refined the corners when it gives them. Refining again spoils those of a large board: the
+    window then reaches the markers (0.146 became 0.249 px on real boards). Those of a small one it looks for in a window of a
+    pixel or two beside a place that is off by as much: they are looked for again, from where the plane has them.
     """
 
     def __init__(self, board: Board) -> None:
@@ -206,7 +213,28 @@ class CharucoFinder:
         uv_px = np.full((self._board.corner_count, 2), np.nan)
         uv_px[np.asarray(ids, dtype=int).ravel()] = np.asarray(corners).reshape(-1, 2)
         gated = gate(uv_px, self._board)
-        return gated if gated is not None and self._markers_agree(gated, markers, marker_ids) else None
+        if gated is None or not self._markers_agree(gated, markers, marker_ids):
+            return None
+        return self._sharpen(grey, gated)
+
+    def _sharpen(
+        self, grey: UInt8[np.ndarray, "height width"], uv_px: Float[np.ndarray, "corner 2"]
+    ) -> Float[np.ndarray, "corner 2"] | None:
+        """Refine the corners again where OpenCV's window, as far as the markers less two pixels, was too small."""
+        margin = 0.5 * (1.0 - (self._board.marker_m or 0.0) / self._board.square_m)
+        if np.sqrt(2.0) * margin * square_size_px(uv_px, self._board) - 2.0 >= LEAST_WINDOW_PX:
+            return uv_px
+        seen = np.flatnonzero(np.isfinite(uv_px[:, 0]))
+        plane = (self._board.corners_board_m[seen, :2] / self._board.square_m).astype(np.float64)
+        H, _ = cv2.findHomography(plane, uv_px[seen], cv2.LMEDS)
+        if H is None:  # pyright: ignore[reportUnnecessaryComparison] - it is, where no four corners agree
+            return uv_px
+        start = cv2.perspectiveTransform(plane[:, None], H).astype(np.float32)
+        inside = ((start[:, 0] > 0) & (start[:, 0] < np.array(grey.shape[::-1]) - 1)).all(axis=1)
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+        sharp = np.full_like(uv_px, np.nan)
+        sharp[seen[inside]] = cv2.cornerSubPix(grey, start[inside], (SMALL_WINDOW_PX,) * 2, (-1, -1), stop)[:, 0]
+        return gate(sharp, self._board)
 
     def _markers_agree(
         self, uv_px: Float[np.ndarray, "corner 2"], markers: Sequence[np.ndarray], marker_ids: np.ndarray
@@ -382,12 +410,30 @@ def gate(
     if H is None:  # pyright: ignore[reportUnnecessaryComparison] - it is, where no four corners agree
         return None
     kept = seen[np.asarray(inliers).ravel() > 0]
+    kept = kept[_agreeing(plane[np.isin(seen, kept)], uv_px[kept])]
     rows, columns = np.divmod(kept, board.corners_across)
     if len(kept) < MIN_CORNERS or len(set(rows)) < 2 or len(set(columns)) < 2:
         return None
     gated = np.full_like(uv_px, np.nan)
     gated[kept] = uv_px[kept]
     return gated if not right_handed or orientation(gated, board) > 0 else None
+
+
+def _agreeing(
+    plane: Float[np.ndarray, "corner 2"], uv_px: Float[np.ndarray, "corner 2"]
+) -> Bool[np.ndarray, " corner"]:
+    """Mark the corners that lie as near to the plane through most of them as most do.
+
+    A corner that was looked for at a wrong place, since the marker beside it is small or blurred, is one or two pixels off,
+    inside the gate and ten times as far as its neighbours.
+    """
+    if len(uv_px) < MIN_CORNERS:
+        return np.ones(len(uv_px), dtype=bool)
+    H, _ = cv2.findHomography(plane, uv_px, cv2.LMEDS)
+    if H is None:  # pyright: ignore[reportUnnecessaryComparison] - it is, where no four corners agree
+        return np.ones(len(uv_px), dtype=bool)
+    off_px = np.linalg.norm(cv2.perspectiveTransform(plane[:, None], H)[:, 0] - uv_px, axis=1)
+    return off_px <= max(SURE_PX, STRAY * float(np.median(off_px)))
 
 
 def _starts_dark(grey: np.ndarray, rows: Float[np.ndarray, "row column 2"]) -> bool:
