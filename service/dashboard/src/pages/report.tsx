@@ -4,6 +4,7 @@ import { api } from "../api";
 import { useLoaded } from "../load";
 import { Findings } from "../parts/findings";
 import { ProblemNote } from "../parts/problem";
+import { sizeOf } from "./session";
 import type { Finding, Parameter, ResultFile } from "../types";
 import { Clock } from "../viewer/clock";
 import { CycleCurves, hasCycles, TimeCurves } from "../viewer/curves";
@@ -182,7 +183,7 @@ function Downloads({ files }: { files: ResultFile[] }) {
             <a href={file.url} download={file.name}>
               {file.name}
             </a>{" "}
-            <span class="quiet">{(file.size / 1e3).toFixed(0)} kB</span>
+            <span class="quiet">{sizeOf(file.size)}</span>
           </li>
         ))}
     </ul>
