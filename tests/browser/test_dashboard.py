@@ -40,7 +40,9 @@ class Service:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}"
-        self._settings = Settings(data_dir=folder / "data", port=self.port, free_disk_floor=0)
+        self._settings = Settings(
+            data_dir=folder / "data", cache_dir=folder / "cache", port=self.port, free_disk_floor=0
+        )
         self._log = folder / "service.log"
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -132,7 +134,10 @@ def test_from_an_empty_service_to_the_printed_report(
     create_session(page)
     upload_while_the_server_dies(page, service, watch, recording)
     check_accessibility(page)
-    page.get_by_role("button", name="Analyse").click()
+    choose_options(page)
+    with page.expect_request("**/v1/jobs/*/events"), page.expect_request("**/analyses") as asked:
+        page.get_by_role("button", name="Analyse").click()
+    assert asked.value.post_data_json == {"parameters": {"forces": {"task": "walking"}}}
     expect(page.get_by_role("progressbar", name="Progress of the job")).to_be_visible()
     page.get_by_role("link", name="Open the report").click(timeout=180_000)
     use_the_report(page)
@@ -155,10 +160,24 @@ def create_session(page: Page) -> None:
     page.get_by_label("Mass, kg").fill("61")
     page.get_by_label("Stature, m").fill("1,66")
     page.get_by_label("Sex").select_option("female")
+    page.get_by_label("one camera").check()
+    expect(page.get_by_text("All lengths rest on the stature.")).to_be_visible()
+    page.get_by_label("several cameras, at once").check()
     check_accessibility(page)
     page.get_by_role("button", name="Create").click()
     expect(page.get_by_role("heading", name="Anna, barefoot")).to_be_visible()
     expect(page.get_by_role("button", name="Analyse")).to_be_disabled()
+
+
+def choose_options(page: Page) -> None:
+    """What differs from the defaults is asked for, and nothing else."""
+    page.get_by_text("Options of the analysis").click()
+    page.get_by_label("What the subject does").select_option("walking")
+    page.get_by_label("How closely the videos are looked at").select_option("fast")
+    page.get_by_text("More, for those who know why").click()
+    expect(page.get_by_label("Way from pictures to space")).to_have_value("")
+    check_accessibility(page)
+    page.get_by_label("How closely the videos are looked at").select_option("")
 
 
 def upload_while_the_server_dies(page: Page, service: Service, watch: Watch, recording: list[Path]) -> None:
@@ -202,6 +221,9 @@ def use_the_report(page: Page) -> None:
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
     assert float(moment.input_value()) == pytest.approx(1.2, abs=0.1)  # the middle of 2.4 s
     expect(page.locator(".curve output").first).to_contain_text("±")
+    page.get_by_role("button", name="Show it").first.click()
+    said = page.get_by_role("button", name="Show it").first.inner_text()
+    assert float(moment.input_value()) == pytest.approx(float(said.split()[3]), abs=0.06)  # said to a tenth
     for words in ("Findings", "cadence", "motion.mot"):
         expect(page.get_by_text(words).first).to_be_visible()
 

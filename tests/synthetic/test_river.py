@@ -161,7 +161,7 @@ def test_the_report_is_written_for_people_programs_and_opensim(
     document = json.loads(written.document.read_text())
     jsonschema.validate(document, report_schema())
     assert document["verdict"]["level"] == "good"
-    assert document["schema_version"] == "1.3"
+    assert document["schema_version"] == "1.4"
     assert [s["name"] for s in document["reconstruction"]["segments"]][:2] == ["right thigh", "left thigh"]
     assert load_report(written.document).model_dump(mode="json") == document
     assert len(key_lines(load_report(written.document))) == 6

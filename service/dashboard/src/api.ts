@@ -1,5 +1,6 @@
 // The way to the REST API. The browser keeps the key in a cookie that no script can read (POST /sign-in sets it).
 
+import type { ParameterSchema } from "./parts/options";
 import type { Calibration, Caller, Job, Report, ResultFile, Session, Subject, UploadedFile } from "./types";
 
 export class Problem extends Error {
@@ -64,6 +65,7 @@ export const api = {
   deleteFile: (session: string, id: string) => ask("DELETE", `/v1/sessions/${session}/files/${id}`),
   analyse: (session: string, parameters: unknown) =>
     json<Job>("POST", `/v1/sessions/${session}/analyses`, { parameters }),
+  parameters: async () => (await json<{ analysis: ParameterSchema }>("GET", "/v1/parameters")).analysis,
   jobs: (session?: string) => all<Job>(session ? `/v1/jobs?session=${session}` : "/v1/jobs"),
   job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
   cancel: (id: string) => json<Job>("POST", `/v1/jobs/${id}/cancel`),

@@ -54,6 +54,11 @@ export interface Finding {
   message: string;
   hint: string;
   where: string;
+  /** The stretch of a trial that it speaks of, on the clock of `time_s`; null or left out: all of it. */
+  start_s?: number | null;
+  end_s?: number | null;
+  camera?: string;
+  joint?: string;
 }
 
 export interface Calibration {

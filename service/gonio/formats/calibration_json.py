@@ -122,6 +122,8 @@ class FindingDocument(_Strict):
     where: str
     value: float | None
     unit: str
+    camera: str = Field(default="", description="The camera that is meant.")
+    joint: str = Field(default="", description="Always empty: a board has none.")
 
 
 class CalibrationDocument(_Strict):
@@ -221,7 +223,11 @@ def _document(calibration: Calibration) -> CalibrationDocument:
                     for j in calibration.verdict.judgements
                 ],
             },
-            "findings": [asdict(finding) for finding in calibration.findings],
+            # A calibration's findings speak of no moment: a board's recording is not shown.
+            "findings": [
+                {name: value for name, value in asdict(finding).items() if name != "span_s"}
+                for finding in calibration.findings
+            ],
         }
     )
 

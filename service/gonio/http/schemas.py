@@ -141,6 +141,13 @@ class AnalysisIn(_In):
         return value
 
 
+class ParametersOut(BaseModel):
+    """What an analysis and a calibration may be asked for."""
+
+    analysis: dict[str, Any] = Field(description="A JSON schema, with defaults; all but `subject`, the session's.")
+    calibration: dict[str, Any] = Field(description="The same for sessions of kind `calibration`.")
+
+
 class ProgressOut(BaseModel):
     """How far a job is."""
 

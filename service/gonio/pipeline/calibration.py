@@ -133,14 +133,14 @@ def calibrate_lenses(
             chosen = choose_views(views.board, track.uv_px, track.sharpness, track.image_size_px)
             optics = solve_intrinsics(views.board, track.uv_px[chosen], track.image_size_px, camera_name=name)
             if optics.views < FEW_LENS_VIEWS:
-                findings.append(finding("lens-few-views", where=name, value=optics.views))
+                findings.append(finding("lens-few-views", camera=name, value=optics.views))
         elif name in given:
             optics = given[name]
         elif np.isfinite(uv_px).any():
             chosen = choose_views(views.board, uv_px, np.ones(len(uv_px)), size_px)
             optics = solve_intrinsics(views.board, uv_px[chosen], size_px, camera_name=name, origin="session")
             share = 100 * float(optics.sd[0] / optics.parameters[0])
-            findings.append(finding("lens-from-session", where=name, value=share))
+            findings.append(finding("lens-from-session", camera=name, value=share))
         else:
             optics = unseen_optics(name, size_px)
         if optics.image_size_px != size_px:
@@ -179,7 +179,7 @@ def compare(views: BoardViews, earlier: Calibration) -> Outcome[RigCheck]:
         )
         if moved
     ]
-    findings += [finding("camera-not-checked", where=n) for n in earlier.rig.names if n not in check.camera_names]
+    findings += [finding("camera-not-checked", camera=n) for n in earlier.rig.names if n not in check.camera_names]
     if not findings:
         findings.append(finding("cameras-steady", value=float(check.shift_px.max())))
     return Outcome(check, tuple(findings))
@@ -187,7 +187,7 @@ def compare(views: BoardViews, earlier: Calibration) -> Outcome[RigCheck]:
 
 def _displaced(name: str, shift_px: float, row: Mapping[str, str]) -> Finding:
     """Name a camera that moved, and say how far with its error bar."""
-    told = finding("camera-displaced", where=name, value=shift_px)
+    told = finding("camera-displaced", camera=name, value=shift_px)
     return replace(told, message=f"{told.message} It turned by {row['turned']} and moved by {row['shifted']}.")
 
 

@@ -88,7 +88,7 @@ def read_capture(
             hint="Upload the keypoints of all cameras, or of none: then gonio finds them in the videos.",
             code="poses-incomplete",
         )
-    findings = [finding("camera-without-video", where=name) for name in rig.names if name not in by_camera]
+    findings = [finding("camera-without-video", camera=name) for name in rig.names if name not in by_camera]
     cameras, infos, used = [], [], []
     for camera in rig.cameras:
         if camera.name in by_camera:
@@ -102,7 +102,7 @@ def read_capture(
             used.append(by_camera[camera.name])
             findings += size_findings
             if info.is_variable_rate:
-                findings.append(finding("rate-varies", where=camera.name, value=1e3 * info.largest_deviation_s))
+                findings.append(finding("rate-varies", camera=camera.name, value=1e3 * info.largest_deviation_s))
     timebase, frame_count, steps, time_findings = common_time(tuple(c.name for c in cameras), infos)
     views = tuple(
         View(
@@ -185,7 +185,7 @@ def fit_camera_to_video(camera: Camera, info: VideoInfo) -> tuple[Camera, tuple[
     if np.abs(calibrated - filmed).max() <= EDGE_PX:
         lost = float(np.abs(calibrated - filmed).max())
         return replace(camera, image_size_px=info.image_size_px), (
-            finding("image-size-differs", where=camera.name, value=lost),
+            finding("image-size-differs", camera=camera.name, value=lost),
         )
     scale = filmed / calibrated
     if abs(scale[0] / scale[1] - 1) > 0.01:
@@ -200,7 +200,7 @@ def fit_camera_to_video(camera: Camera, info: VideoInfo) -> tuple[Camera, tuple[
     intrinsic_px[:2, 2] = (intrinsic_px[:2, 2] + 0.5) * scale - 0.5
     intrinsic_px[:2, :2] *= scale[:, None]
     scaled = replace(camera, image_size_px=info.image_size_px, intrinsic_px=intrinsic_px)
-    return scaled, (finding("image-size-scaled", where=camera.name, value=float(scale.mean())),)
+    return scaled, (finding("image-size-scaled", camera=camera.name, value=float(scale.mean())),)
 
 
 def common_time(
@@ -226,12 +226,12 @@ def common_time(
     counts = np.array([(info.frame_count - 1) // step + 1 for info, step in zip(infos, steps, strict=True)])
     shortest = int(counts.min())
     findings = [
-        finding("rates-differ", where=name, value=int(step))
+        finding("rates-differ", camera=name, value=int(step))
         for name, step in zip(names, steps, strict=True)
         if step > 1
     ]
     findings += [
-        finding("lengths-differ", where=name, value=int(count - shortest))
+        finding("lengths-differ", camera=name, value=int(count - shortest))
         for name, count in zip(names, counts, strict=True)
         if count > shortest
     ]

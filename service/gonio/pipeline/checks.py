@@ -67,12 +67,12 @@ def leave_out_moved_cameras(
         names = " or ".join(rig.names[camera] for camera in movement.cameras)
         if len(movement.cameras) != 1:
             findings.append(
-                finding("camera-moved-unclear", where=f"{names}, {at_s:.1f} s", value=1e3 * movement.step_m)
+                finding("camera-moved-unclear", where=names, value=1e3 * movement.step_m, span_s=(at_s, at_s))
             )
             break
         side = "after" if movement.keep_before else "before"
-        where = f"{names}, {at_s:.1f} s; left out: what it saw {side}"
-        findings.append(finding("camera-moved", where=where, value=1e3 * movement.step_m))
+        where, moment = f"{names}; left out: what it saw {side}", (at_s, at_s)
+        findings.append(finding("camera-moved", where=where, value=1e3 * movement.step_m, span_s=moment, camera=names))
         frame, unsure = movement.frame, movement.unsure_frames
         lost = slice(max(frame - unsure, 0), None) if movement.keep_before else slice(0, frame + unsure)
         uv_px, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
@@ -93,7 +93,7 @@ def _leave_out_what_is_no_position(keypoints: ImagePoints) -> tuple[ImagePoints,
     )
     share = 100 * wrong.mean(axis=(1, 2))
     names = keypoints.camera_names
-    return clean, [finding("keypoints-invalid", where=n, value=v) for n, v in zip(names, share, strict=True) if v > 0]
+    return clean, [finding("keypoints-invalid", camera=n, value=v) for n, v in zip(names, share, strict=True) if v > 0]
 
 
 def _refuse_exchanged_cameras(keypoints: ImagePoints, rig: Rig, min_confidence: float) -> None:
@@ -123,7 +123,7 @@ def _times_without_two_cameras(keypoints: ImagePoints, min_confidence: float) ->
         if (last - first) / rate_hz <= LONGEST_SPAN_S:
             continue
         left = [n for n, seen in zip(looks.camera_names, sees[:, first:last].any(axis=1), strict=True) if seen]
-        by = f"only {' or '.join(left)}" if left else "no camera"
-        where = f"{by}, {start_s + first / rate_hz:.1f} s to {start_s + last / rate_hz:.1f} s"
-        findings.append(finding("too-few-cameras", where=where, value=(last - first) / rate_hz))
+        where = f"only {' or '.join(left)}" if left else "no camera"
+        span_s = start_s + first / rate_hz, start_s + last / rate_hz
+        findings.append(finding("too-few-cameras", where=where, value=(last - first) / rate_hz, span_s=span_s))
     return findings

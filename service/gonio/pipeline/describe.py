@@ -287,6 +287,7 @@ def describe(analysis: Analysis, findings: Sequence[Finding], models: Mapping[st
 
 def describe_finding(finding: Finding) -> ReportFinding:
     """Describe a finding."""
+    start_s, end_s = finding.span_s or (None, None)
     return ReportFinding(
         code=finding.code,
         severity=finding.severity,
@@ -296,6 +297,10 @@ def describe_finding(finding: Finding) -> ReportFinding:
         where=finding.where,
         value=finding.value if finding.value is None else number(finding.value, 3),
         unit=finding.unit,
+        start_s=None if start_s is None else number(start_s, 3),
+        end_s=None if end_s is None else number(end_s, 3),
+        camera=finding.camera,
+        joint=finding.joint,
     )
 
 

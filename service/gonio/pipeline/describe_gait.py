@@ -10,6 +10,7 @@ from gonio.kernel.gait.cycles import average
 from gonio.kernel.gait.events import FORCE_METHOD, METHOD
 from gonio.kernel.gait.norms import condition_at, dimensionless_speed, gait_variable_score, profile_score
 from gonio.kernel.gait.parameters import symmetry_index_percent
+from gonio.pipeline.gait import time_s
 from gonio.pipeline.params import Subject
 from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_gait import (
@@ -94,7 +95,7 @@ def describe_events(gait: GaitAnalysis) -> list[GaitEvent]:
                 GaitEvent(
                     side=side,
                     kind=kind,
-                    time_s=round(_time_s(gait, frame), 4),
+                    time_s=round(time_s(gait, frame), 4),
                     sd_ms=round(1e3 * float(sd_s), 1),
                     from_force=bool(force),
                 )
@@ -107,8 +108,8 @@ def describe_cycle(cycle: GaitCycle, gait: GaitAnalysis) -> Cycle:
     """Describe a cycle by its events."""
     return Cycle(
         side=SIDES[cycle.foot],
-        start_s=round(_time_s(gait, cycle.start_frame), 4),
-        end_s=round(_time_s(gait, cycle.end_frame), 4),
+        start_s=round(time_s(gait, cycle.start_frame), 4),
+        end_s=round(time_s(gait, cycle.end_frame), 4),
         opposite_toe_off_percent=number(cycle.percent(cycle.other_lift_frame), 1),
         heel_off_percent=number(cycle.percent(cycle.heel_off_frame), 1),
         opposite_contact_percent=number(cycle.percent(cycle.other_strike_frame), 1),
@@ -175,7 +176,3 @@ def _statistic(measure: Measure | None) -> Statistic | None:
     if measure is None:
         return None
     return Statistic(mean=round(measure.mean, 3), sd=number(measure.sd, 3), count=len(measure.values))
-
-
-def _time_s(gait: GaitAnalysis, frame: float) -> float:
-    return gait.timebase.start_s + frame / gait.timebase.rate_hz

@@ -18,6 +18,7 @@ from gonio.kernel.forces.torque import (
 from gonio.kernel.kinematics.clinical import ClinicalAngle, find_clinical_angles
 from gonio.pipeline.findings import finding
 from gonio.pipeline.forces import CUTOFF_HZ, SLOW_HZ, force_choice, smooth_motion
+from gonio.pipeline.moments import worst_moment
 from gonio.pipeline.motion import BodyMotion, complete, covariance_of
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.pressure import Measured
@@ -70,8 +71,10 @@ def find_joint_torques(
     residual = (
         float(np.sqrt((torques.residual[known, :3] ** 2).sum(axis=1).mean())) / model.weight_n if known.any() else 0.0
     )
-    high = (finding("residuals-high", value=100 * residual),) if residual > LARGEST_RESIDUAL else ()
-    return Outcome(torques, high)
+    if residual <= LARGEST_RESIDUAL:
+        return Outcome(torques)
+    span_s = worst_moment(np.linalg.norm(torques.residual[:, :3], axis=1), torques.times_s)
+    return Outcome(torques, (finding("residuals-high", value=100 * residual, span_s=span_s),))
 
 
 def moment_curves(found: BodyMotion, torques: Torques | None) -> tuple[TimeCurve, ...]:

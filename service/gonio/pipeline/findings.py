@@ -447,9 +447,21 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def finding(code: str, *, where: str = "", value: float | None = None, severity: Severity | None = None) -> Finding:
-    """Make a finding of a kind in the table; ``severity`` overrides the kind's where the number is worse than usual."""
-    kind = KINDS[code]
+def finding(
+    code: str,
+    *,
+    where: str = "",
+    value: float | None = None,
+    severity: Severity | None = None,
+    span_s: tuple[float, float] | None = None,
+    camera: str = "",
+    joint: str = "",
+) -> Finding:
+    """Make a finding of a kind in the table; ``severity`` overrides the kind's where the number is worse than usual.
+
+    Where nothing says ``where``, it is the camera or the joint.
+    """
+    kind, where = KINDS[code], where or camera or joint
     return Finding(
         code=code,
         severity=severity or kind.severity,
@@ -459,4 +471,7 @@ def finding(code: str, *, where: str = "", value: float | None = None, severity:
         where=where,
         value=None if value is None else float(value),
         unit=kind.unit,
+        span_s=span_s,
+        camera=camera,
+        joint=joint,
     )

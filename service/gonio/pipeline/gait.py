@@ -127,7 +127,9 @@ def judge_gait(analysis: GaitAnalysis) -> tuple[Finding, ...]:
     for side in FEET:
         for number, cycle in enumerate(analysis.cycles_of(side), 1):
             if cycle.left_out:
-                findings.append(finding("gait-cycle-odd", where=f"{side} cycle {number}: {cycle.left_out}"))
+                where = f"{side} cycle {number}: {cycle.left_out}"
+                span_s = time_s(analysis, cycle.start_frame), time_s(analysis, cycle.end_frame)
+                findings.append(finding("gait-cycle-odd", where=where, span_s=span_s))
     kept = {side: sum(not c.left_out for c in analysis.cycles_of(side)) for side in FEET}
     if min(kept.values()) < FEW_CYCLES:
         where = ", ".join(f"{count} {side}" for side, count in kept.items())
@@ -137,6 +139,11 @@ def judge_gait(analysis: GaitAnalysis) -> tuple[Finding, ...]:
     if unseen.size:
         findings.append(finding("gait-events-from-movement", value=1e3 * float(np.max(unseen))))
     return tuple(findings)
+
+
+def time_s(gait: GaitAnalysis, frame: float) -> float:
+    """Give the time of a frame with a fraction."""
+    return gait.timebase.start_s + frame / gait.timebase.rate_hz
 
 
 def _over_cycles(curve: TimeCurve, cycles: Sequence[GaitCycle]) -> CycleCurves:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from gonio.errors import CaptureError, InputError
 from gonio.formats.openpose import AMBIGUOUS_LAYOUTS, LAYOUTS, describe_layouts, keypoint_count, read_poses
@@ -12,6 +12,7 @@ from gonio.kernel.triangulation.choice import choose_subject, rank_people
 from gonio.kernel.triangulation.people import find_people
 from gonio.pipeline.album import Album
 from gonio.pipeline.findings import finding
+from gonio.pipeline.moments import longest_stretch, worst_moment
 from gonio.pipeline.params import KeypointParameters, LookRate, Parameters
 from gonio.pipeline.run import Outcome, Progress
 from gonio.records import Capture, Finding, ImagePoints, Person, Sightings, record
@@ -60,6 +61,12 @@ class Keypoints:
         """In which of the frames that were looked at a camera saw the subject."""
         return np.asarray(np.isfinite(self.points.sampled.uv_px[..., 0]).any(axis=-1))
 
+    @property
+    def look_times_s(self) -> Float[np.ndarray, " look"]:
+        """When the cameras were looked at."""
+        looks = self.points.sampled
+        return looks.timebase.times_s(looks.uv_px.shape[1])
+
 
 def find_keypoints(
     capture: Capture, parameters: Parameters, output_dir: Path, progress: Progress
@@ -107,13 +114,19 @@ def find_keypoints(
         subject=[person is subject for person in people].index(True),
     )
     findings = [
-        finding("camera-lost-subject", where=name, value=100 * (1 - float(seen.mean())))
+        lost_subject(name, seen, keypoints.look_times_s)
         for name, seen in zip(capture.rig.names, keypoints.seen, strict=True)
         if seen.mean() < 0.9
     ]
     if len(people) > 1:
         findings.append(tell_bystanders(people, keypoints.subject))
     return Outcome(keypoints, tuple(findings))
+
+
+def lost_subject(name: str, seen: Bool[np.ndarray, " look"], times_s: Float[np.ndarray, " look"]) -> Finding:
+    """Tell of a camera that did not see the subject for some time."""
+    share, span_s = 100 * (1 - float(seen.mean())), longest_stretch(~seen, times_s)
+    return finding("camera-lost-subject", camera=name, value=share, span_s=span_s)
 
 
 def look_at_videos(capture: Capture, model: str, stride: int, album: Album, progress: Progress) -> Sightings:
@@ -177,9 +190,10 @@ def tell_bystanders(people: Sequence[Person], subject: int) -> Finding:
     apart_m = [
         np.linalg.norm(own - other.centre_lab_m[:, [0, 2]], axis=1) for i, other in enumerate(people) if i != subject
     ]
-    together = [apart[np.isfinite(apart)] for apart in apart_m]
-    nearest_m = min((float(apart.min()) for apart in together if apart.size), default=np.inf)
+    nearest = np.fmin.reduce(apart_m)
+    nearest_m = float(np.nanmin(nearest)) if np.isfinite(nearest).any() else np.inf
     where = f"person {subject + 1} of {len(people)}; the nearest other came to {nearest_m:.1f} m"
     if not np.isfinite(nearest_m):
         where = f"person {subject + 1} of {len(people)}; the others were never there at the same time"
-    return finding("bystanders", where=where, value=len(people) - 1)
+    times_s = people[subject].points.timebase.times_s(len(nearest))
+    return finding("bystanders", where=where, value=len(people) - 1, span_s=worst_moment(-nearest, times_s))

@@ -45,9 +45,11 @@ from gonio.pipeline.keypoints import (
     Keypoints,
     look_at_videos,
     look_stride,
+    lost_subject,
     read_sightings,
 )
-from gonio.pipeline.motion import FEWEST_FRAMES, LEAST_WEIGHT, BodyMotion, distrust, judge_motion, personalise
+from gonio.pipeline.moments import worst_moment
+from gonio.pipeline.motion import FEWEST_FRAMES, LEAST_WEIGHT, BodyMotion, distrust, joint_of, judge_motion, personalise
 from gonio.pipeline.params import Parameters, Subject, parse_parameters, with_file_defaults
 from gonio.pipeline.pressure import measure_forces, read_sensors
 from gonio.pipeline.reconstruction import Reconstruction
@@ -205,7 +207,7 @@ def find_subject(capture: Capture, parameters: Parameters, output_dir: Path, pro
     seen = float(keypoints.seen[0].mean())
     findings: list[Finding] = []
     if seen < 0.9:
-        findings.append(finding("camera-lost-subject", where=capture.rig.names[0], value=100 * (1 - seen)))
+        findings.append(lost_subject(capture.rig.names[0], keypoints.seen[0], keypoints.look_times_s))
     lasting = [one for one in people if one is not people[number - 1] and (one.confidence > 0).any(axis=2).mean() > 0.1]
     if lasting:
         where = "the one seen the longest and largest" if number == 1 else f"number {number} by time and size"
@@ -373,5 +375,7 @@ def judge_view(seen: OneView, fit: PixelFit, priors: TrialPriors) -> tuple[Findi
         known = sd_deg[np.isfinite(sd_deg)]
         if known.size and np.median(known) > UNRELIABLE_SD_DEG[angle.name]:
             where = f"{angle.side} {angle.name.replace('_', ' ')}"
-            findings.append(finding("view-unreliable", where=where, value=float(np.median(known))))
+            span_s = worst_moment(sd_deg, motion.motion.times_s)
+            value, joint = float(np.median(known)), joint_of(angle)
+            findings.append(finding("view-unreliable", where=where, value=value, span_s=span_s, joint=joint))
     return tuple(findings)

@@ -14,7 +14,7 @@ from gonio.kernel.body.forward import marker_positions
 from gonio.kernel.body.markerset import keep_markers
 from gonio.kernel.body.scaling import scale_model
 from gonio.kernel.geometry.cameras import undistort_rig
-from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
+from gonio.kernel.kinematics.clinical import ClinicalAngle, clinical_deg, clinical_sd_deg, find_clinical_angles
 from gonio.kernel.kinematics.covariance import add_covariance
 from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.kernel.kinematics.pixel_priors import TrialPriors, anchor, make_priors
@@ -24,6 +24,7 @@ from gonio.kernel.synchronization.looks import thin
 from gonio.pipeline.body import SubjectBody, in_marker_order
 from gonio.pipeline.findings import finding
 from gonio.pipeline.keypoints import look_stride
+from gonio.pipeline.moments import Span, longest_stretch, worst_moment
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.run import Outcome, Progress
 from gonio.records import (
@@ -236,7 +237,11 @@ def cross_check(found: BodyMotion) -> tuple[Finding, ...]:
         rms = float(np.sqrt(np.mean(apart**2)))
         if rms > LARGEST_DIFFERENCE_DEG or (beyond > 0.2 and rms > LARGEST_DIFFERENCE_DEG / 2):
             where = f"{angle.side} {angle.name.replace('_', ' ')}"
-            findings.append(finding("kinematics-disagree", where=where, value=rms))
+            off_deg = np.abs(difference - difference[known].mean())
+            span_s = worst_moment(off_deg, found.motion.times_s)
+            findings.append(
+                finding("kinematics-disagree", where=where, value=rms, span_s=span_s, joint=joint_of(angle))
+            )
     return tuple(findings)
 
 
@@ -245,12 +250,23 @@ def judge_motion(motion: Motion) -> tuple[Finding, ...]:
     findings: list[Finding] = []
     unsolved = 100 * float((motion.status == TOO_FEW_MARKERS).mean())
     if unsolved > 0:
-        findings.append(finding("frames-unsolved", value=unsolved, severity="serious" if unsolved > 50 else None))
+        severe, span_s = "serious" if unsolved > 50 else None, _longest(motion, TOO_FEW_MARKERS)
+        findings.append(finding("frames-unsolved", value=unsolved, severity=severe, span_s=span_s))
     diverged = 100 * float((motion.status == NOT_CONVERGED).mean())
     if diverged > 0:
-        findings.append(finding("frames-not-converged", value=diverged))
+        findings.append(finding("frames-not-converged", value=diverged, span_s=_longest(motion, NOT_CONVERGED)))
     known = motion.residual_rms_m[np.isfinite(motion.residual_rms_m)]
     if known.size and known.mean() > 0.04:  # good markerless points leave 20 to 30 mm
         severe = "serious" if known.mean() > 0.08 else None
-        findings.append(finding("body-fit-poor", value=1e3 * float(known.mean()), severity=severe))
+        span_s = worst_moment(motion.residual_rms_m, motion.times_s)
+        findings.append(finding("body-fit-poor", value=1e3 * float(known.mean()), severity=severe, span_s=span_s))
     return tuple(findings)
+
+
+def joint_of(angle: ClinicalAngle) -> str:
+    """Give the joint that an angle is of, as findings name it: ``right knee``."""
+    return f"{angle.side} {angle.name.split('_')[0]}"
+
+
+def _longest(motion: Motion, status: int) -> Span | None:
+    return longest_stretch(np.asarray(motion.status == status), motion.times_s)

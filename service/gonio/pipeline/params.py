@@ -256,7 +256,7 @@ def _parse(adapter: TypeAdapter[T], values: Mapping[str, Any]) -> T:
         wrong = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors(include_url=False))
         raise InputError(
             f"The parameters are not valid: {wrong}.",
-            hint="Leave a parameter out to get its default; the API reference lists them all.",
+            hint="Leave a parameter out to get its default; GET /v1/parameters lists them all.",
             code="parameter-invalid",
         ) from error
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gonio.errors import InputError
 from gonio.formats.force_plates import read_force_plates
@@ -20,6 +20,7 @@ from gonio.kernel.forces.plates import assign_plates
 from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock, is_idle, lacking_share
 from gonio.pipeline.body import only_file
 from gonio.pipeline.findings import finding
+from gonio.pipeline.moments import longest_stretch
 from gonio.pipeline.motion import BodyMotion, complete
 from gonio.pipeline.params import Parameters
 from gonio.pipeline.run import CaptureFile, Outcome
@@ -247,9 +248,11 @@ def judge_pressure(
     """Find what the reader has to know about the soles' values; ``pressure`` is on the video's clock, in newtons."""
     findings: list[Finding] = []
     times_s, shown = pressure.times_s, pressure.vertical_n
-    unknown = 100 * _unknown_share(pressure, course.times_s)
+    blind = _unknown(pressure, course.times_s)
+    unknown = 100 * float(blind.mean())
     if unknown > 1.0:
-        findings.append(finding("pressure-gaps", value=unknown, severity="serious" if unknown > 50 else None))
+        severe, span_s = "serious" if unknown > 50 else None, longest_stretch(blind, course.times_s)
+        findings.append(finding("pressure-gaps", value=unknown, severity=severe, span_s=span_s))
     period_s = float(np.median(np.diff(times_s)))
     if 1.0 / period_s < LOW_RATE_HZ:
         findings.append(finding("pressure-rate-low", where=f"±{500 * period_s:.0f} ms", value=1.0 / period_s))
@@ -259,7 +262,8 @@ def judge_pressure(
         loaded = np.nan_to_num(shown[:, foot]) > 0.1 * course.weight_n
         saturated = 100 * float(stream.saturated[loaded, foot].mean()) if loaded.any() else 0.0
         if saturated > 0:
-            findings.append(finding("pressure-saturated", where=side, value=saturated))
+            span_s = longest_stretch(loaded & stream.saturated[:, foot], times_s)
+            findings.append(finding("pressure-saturated", where=side, value=saturated, span_s=span_s))
         rest_n = _in_the_air_n(pressure, course, foot)
         if rest_n > NOT_ZERO_SHARE * course.weight_n:
             findings.append(finding("pressure-not-zero", where=side, value=rest_n))
@@ -277,16 +281,17 @@ def judge_plates(plates: FootForces) -> tuple[Finding, ...]:
     if not (np.nan_to_num(plates.wrench[..., 1]) > 0).any():
         return (finding("plates-not-used"),)
     shared_s = float(plates.shared.sum() * np.median(np.diff(plates.times_s)))
-    return (finding("plates-shared", value=shared_s),) if shared_s > 0 else ()
+    span_s = longest_stretch(plates.shared, plates.times_s)
+    return (finding("plates-shared", value=shared_s, span_s=span_s),) if shared_s > 0 else ()
 
 
-def _unknown_share(pressure: FootPressure, times_s: Float[np.ndarray, " frame"]) -> float:
-    """Give the share of the frames that lie between no two known samples."""
+def _unknown(pressure: FootPressure, times_s: Float[np.ndarray, " frame"]) -> Bool[np.ndarray, " frame"]:
+    """Mark the frames that lie between no two known samples."""
     after = np.searchsorted(pressure.times_s, times_s)
     inside = (after > 0) & (after < len(pressure.times_s))
     known = np.asarray(np.isfinite(pressure.vertical_n).all(axis=1))
     after = np.clip(after, 1, len(known) - 1)
-    return 1.0 - float((inside & known[after] & known[after - 1]).mean())
+    return ~(inside & known[after] & known[after - 1])
 
 
 def _in_the_air_n(pressure: FootPressure, course: BodyCourse, foot: int) -> float:

@@ -23,6 +23,7 @@ from gonio.kernel.synchronization.looks import shift
 from gonio.kernel.triangulation.fusion import fuse, mark_spans
 from gonio.kernel.triangulation.points import triangulate
 from gonio.pipeline.findings import finding
+from gonio.pipeline.moments import longest_stretch, worst_moment
 from gonio.pipeline.params import ReconstructionParameters
 from gonio.pipeline.run import CaptureFile, Outcome
 from gonio.pipeline.trial_lab import find_trial_lab, move_lab
@@ -77,18 +78,18 @@ def synchronize(
     matters = bool(np.abs(known_s).max() * keypoints.timebase.rate_hz > SMALLEST_DELAY_FRAMES)
     if parameters.synchronization == "hardware":
         worst = int(np.argmax(np.abs(known_s)))
-        unused = finding("delays-not-applied", where=rig.names[worst], value=1e3 * float(known_s[worst]))
+        unused = finding("delays-not-applied", camera=rig.names[worst], value=1e3 * float(known_s[worst]))
         return Outcome((trusted(rig), keypoints), (unused,) if matters else ())
     found = estimate_delays(rig, keypoints, parameters.min_confidence)
     if found.status == "corrected":
         late = _late(rig.names, found.delay_s)
-        told = tuple(finding("cameras-not-synchronous", where=name, value=ms) for name, ms in late)
+        told = tuple(finding("cameras-not-synchronous", camera=name, value=ms) for name, ms in late)
         return Outcome((found, shift(keypoints, found.delay_s)), told)
     if found.status == "unknown" and matters:
         found = confirm_delays(rig, keypoints, known_s, parameters.min_confidence)
         if found.status == "corrected":
             late = _late(rig.names, found.delay_s)
-            told = tuple(finding("delays-from-calibration", where=name, value=ms) for name, ms in late)
+            told = tuple(finding("delays-from-calibration", camera=name, value=ms) for name, ms in late)
             return Outcome((found, shift(keypoints, found.delay_s)), told)
     findings = (finding("synchronization-unknown"),) if found.status == "unknown" else ()
     return Outcome((found, keypoints), findings)
@@ -116,7 +117,7 @@ def refine_cameras(keypoints: ImagePoints, rig: Rig, parameters: ReconstructionP
         return Outcome(refinement)
     most = rig.names[int(np.argmax(refinement.moved_m))]
     fall = 100 * (1 - refinement.error_after_px / refinement.error_before_px)
-    return Outcome(refinement, (finding("cameras-refined", where=most, value=fall),))
+    return Outcome(refinement, (finding("cameras-refined", camera=most, value=fall),))
 
 
 def reconstruct(
@@ -208,6 +209,7 @@ def segment_lengths_m(points: LabPoints) -> dict[str, Float[np.ndarray, " frame"
 def judge(reconstruction: Reconstruction) -> tuple[Finding, ...]:
     """Find what the reader has to know about the cameras' agreement."""
     points, miss_m = reconstruction.points, reconstruction.miss_m
+    times_s = points.timebase.times_s(len(points.xyz_lab_m))
     findings: list[Finding] = []
     for camera, (name, bias) in enumerate(zip(points.camera_names, camera_bias_px(points), strict=True)):
         seen = np.isfinite(miss_m[camera])
@@ -218,14 +220,20 @@ def judge(reconstruction: Reconstruction) -> tuple[Finding, ...]:
         )
         bias_mm = 1e3 * float(np.linalg.norm(bias)) / px_per_m
         if bias_mm > 15:  # three times what a good calibration leaves; 15 mm at a joint are about 2° at the knee
-            findings.append(finding("camera-biased", where=name, value=bias_mm))
+            findings.append(finding("camera-biased", camera=name, value=bias_mm))
         rejected = 100 * float((reconstruction.camera_weight[camera][seen] < 0.25).mean())
         if rejected > 20:
-            findings.append(finding("observations-rejected", where=name, value=rejected))
+            lost = (reconstruction.camera_weight[camera] < 0.25) & seen
+            mostly = 2 * lost.sum(axis=1) > seen.sum(axis=1)
+            span_s = longest_stretch(mostly, times_s)
+            findings.append(finding("observations-rejected", camera=name, value=rejected, span_s=span_s))
     median_mm = 1e3 * float(np.nanmedian(miss_m)) if np.isfinite(miss_m).any() else np.nan
     if median_mm > 25:
         severity = "serious" if median_mm > 50 else None
-        findings.append(finding("reprojection-large", value=median_mm, severity=severity))
+        counts = np.isfinite(miss_m).sum(axis=(0, 2))
+        by_frame = np.where(counts, np.nansum(miss_m, axis=(0, 2)) / np.maximum(counts, 1), np.nan)
+        span_s = worst_moment(by_frame, times_s)
+        findings.append(finding("reprojection-large", value=median_mm, severity=severity, span_s=span_s))
     return tuple(findings)
 
 
@@ -233,10 +241,12 @@ def judge_gaps(points: LabPoints) -> tuple[Finding, ...]:
     """Find the leg keypoints that are unknown for much of the trial."""
     findings: list[Finding] = []
     for name in LEG_KEYPOINTS:
-        missing = 100 * float(np.isnan(points.of(name)[:, 0]).mean())
+        unknown = np.isnan(points.of(name)[:, 0])
+        missing = 100 * float(unknown.mean())
         if missing > 10:
             severity = "serious" if missing > 50 else None
-            findings.append(finding("keypoint-missing", where=name.replace("_", " "), value=missing, severity=severity))
+            joint, span_s = name.replace("_", " "), longest_stretch(unknown, points.timebase.times_s(len(unknown)))
+            findings.append(finding("keypoint-missing", value=missing, severity=severity, span_s=span_s, joint=joint))
     return tuple(findings)
 
 
@@ -249,5 +259,7 @@ def judge_segments(points: LabPoints) -> tuple[Finding, ...]:
             continue
         variation = 100 * float(known.std() / known.mean())
         if variation > 5:
-            findings.append(finding("segment-unsteady", where=name, value=variation))
+            off_m = np.abs(length_m - np.median(known))
+            span_s = worst_moment(off_m, points.timebase.times_s(len(off_m)))
+            findings.append(finding("segment-unsteady", where=name, value=variation, span_s=span_s))
     return tuple(findings)

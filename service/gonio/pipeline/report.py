@@ -15,7 +15,7 @@ from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.calibration_figures import plan_figure
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.dynamics import moment_curves
-from gonio.pipeline.gait import angle_curves
+from gonio.pipeline.gait import angle_curves, time_s
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.opensim_dynamics import table_of_torques
 from gonio.pipeline.report_page import render_html
@@ -132,7 +132,7 @@ def _events(gait: GaitAnalysis) -> list[Event]:
     sides: tuple[Side, Side] = ("right", "left")
     for label, trains in (("Foot Strike", gait.events.strikes), ("Foot Off", gait.events.lifts)):
         for side, train in zip(sides, trains, strict=True):
-            found += [Event(label, side, gait.timebase.start_s + f / gait.timebase.rate_hz) for f in train.frames]
+            found += [Event(label, side, time_s(gait, f)) for f in train.frames]
     return sorted(found, key=lambda event: event.time_s)
 
 

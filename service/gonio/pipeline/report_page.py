@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from gonio.pipeline.figures import angle_figure, cycle_figure
 from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_gait import CycleCurve, GaitParameter, GaitReportSection, Statistic
-from gonio.pipeline.report_schema import GaitReport
+from gonio.pipeline.report_schema import GaitReport, ReportFinding
 
 
 class Fact(NamedTuple):
@@ -33,6 +33,7 @@ def render_html(report: GaitReport, pictures: Mapping[str, bytes], plan_svg: str
         report=report,
         quantity=quantity,
         statistic=statistic,
+        moment=moment,
         facts=key_facts(report.gait),
         cycle_svg=cycle_figure(report.gait),
         angle_svg=angle_figure(report.time_s, report.angles),
@@ -83,6 +84,14 @@ def statistic(found: Statistic | None, unit: str) -> str:
     digits = {"m": 3, "m/s": 3, "s": 3}.get(unit, 1)
     spread = "" if found.sd is None else f" ± {found.sd:.{digits}f}"
     return f"{found.mean:.{digits}f}{spread}"
+
+
+def moment(found: ReportFinding) -> str:
+    """Write when it was that a finding speaks of, from the trial's beginning; empty where it holds for all of it."""
+    if found.start_s is None or found.end_s is None:
+        return ""
+    start, end = f"{found.start_s:.1f}", f"{found.end_s:.1f}"
+    return f"at {start} s" if start == end else f"from {start} s to {end} s"
 
 
 def _of_both(parameters: Mapping[str, GaitParameter], name: str, label: str) -> Fact | None:

@@ -14,7 +14,7 @@ from gonio.pipeline.report_base import Level, ReportModel, Series, Severity, Sid
 from gonio.pipeline.report_gait import GaitReportSection
 from gonio.pipeline.report_kinetics import Kinetics, PressureReport
 
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 
 
 class Verdict(ReportModel):
@@ -35,6 +35,16 @@ class ReportFinding(ReportModel):
     where: str
     value: float | None
     unit: str
+    start_s: Annotated[
+        float | None,
+        Field(
+            description="Where the stretch begins that it speaks of, on the clock of `time_s`; null where it holds for the "
+            "whole trial. Of several stretches it is the longest, of what varies the worst moment."
+        ),
+    ]
+    end_s: Annotated[float | None, Field(description="Where it ends; the same as `start_s` for a moment.")]
+    camera: Annotated[str, Field(description="The camera that it is about; empty where it is about none.")]
+    joint: Annotated[str, Field(description="The joint or keypoint that it is about, like `right knee`.")]
 
 
 class CameraReport(ReportModel):
@@ -181,7 +191,7 @@ class Provenance(ReportModel):
 class GaitReport(ReportModel):
     """A gait report."""
 
-    schema_version: Literal["1.3"] = SCHEMA_VERSION
+    schema_version: Literal["1.4"] = SCHEMA_VERSION
     created: datetime
     verdict: Verdict
     findings: list[ReportFinding]

@@ -6,6 +6,7 @@ import { ProblemNote } from "../parts/problem";
 export function NewSessionPage({ kind }: { kind: string }) {
   const [problem, setProblem] = useState<Problem | null>(null);
   const { value: calibrations } = useLoaded(api.calibrations, "calibrations");
+  const [cameras, setCameras] = useState(kind);
   const isTrial = kind !== "calibration";
   const submit = async (event: SubmitEvent) => {
     event.preventDefault();
@@ -14,7 +15,7 @@ export function NewSessionPage({ kind }: { kind: string }) {
     const number = (name: string) => (text(name) ? Number(text(name).replace(",", ".")) : null);
     try {
       const session = await api.createSession({
-        kind,
+        kind: isTrial ? text("kind") : kind,
         name: text("name"),
         subject: isTrial ? { mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
         calibration: text("calibration") || null,
@@ -33,6 +34,25 @@ export function NewSessionPage({ kind }: { kind: string }) {
           <input name="name" maxLength={200} placeholder={isTrial ? "Anna, barefoot, 2nd walk" : "Gait lab, November"} />
         </label>
         {isTrial && (
+          <fieldset class="choice">
+            <legend>Filmed by</legend>
+            <label>
+              <input type="radio" name="kind" value="human_multicamera" checked={cameras === "human_multicamera"} onChange={() => setCameras("human_multicamera")} />
+              several cameras, at once
+            </label>
+            <label>
+              <input type="radio" name="kind" value="human_monocular" checked={cameras === "human_monocular"} onChange={() => setCameras("human_monocular")} />
+              one camera
+            </label>
+            {cameras === "human_monocular" && (
+              <p class="quiet">
+                Film straight from the side, with a camera whose lens and place over the floor are calibrated. All lengths rest on the stature. One
+                camera gives angles with wider bands than several.
+              </p>
+            )}
+          </fieldset>
+        )}
+        {isTrial && (
           <fieldset>
             <legend>Subject</legend>
             <label>
@@ -44,7 +64,7 @@ export function NewSessionPage({ kind }: { kind: string }) {
             </p>
             <label>
               Stature, m
-              <input name="stature" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" />
+              <input name="stature" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" required={cameras === "human_monocular"} />
             </label>
             <label>
               Sex

@@ -1,13 +1,15 @@
 import { useSignal } from "@preact/signals";
-import { useMemo, useState } from "preact/hooks";
+import { useMemo, useRef, useState } from "preact/hooks";
 import { api } from "../api";
 import { useLoaded } from "../load";
 import { Findings } from "../parts/findings";
 import { ProblemNote } from "../parts/problem";
-import type { Parameter, ResultFile } from "../types";
+import { sizeOf } from "./session";
+import type { Finding, Parameter, ResultFile } from "../types";
 import { Clock } from "../viewer/clock";
 import { CycleCurves, hasCycles, TimeCurves } from "../viewer/curves";
 import { Films } from "../viewer/films";
+import { Peaks } from "../viewer/peaks";
 import { Scene, type Layers } from "../viewer/scene";
 import { Transport } from "../viewer/transport";
 import { loadTrial, type Trial } from "../viewer/trial";
@@ -35,6 +37,14 @@ function TrialView({ id, trial }: { id: string; trial: Trial }) {
   const page = files.find((file) => file.kind === "page");
   const { value: session } = useLoaded(async () => api.session((await api.job(id)).session), id);
   const known = (name: keyof Layers) => !(["forces", "torques"].includes(name) && !report.kinetics);
+  const stage = useRef<HTMLDivElement>(null);
+  const showFinding = ({ start_s, end_s, camera, joint }: Finding) => {
+    const first_s = report.time_s[0] ?? 0;
+    if (start_s == null) return;
+    setOver("time"); // the cycle's curves show one stretch of the trial only
+    clock.show({ start_s: start_s - first_s, end_s: (end_s ?? start_s) - first_s, camera: camera ?? "", joint: joint ?? "" });
+    stage.current?.scrollIntoView({ block: "start" });
+  };
   return (
     <article class="report">
       <header class="row">
@@ -47,7 +57,7 @@ function TrialView({ id, trial }: { id: string; trial: Trial }) {
           </a>
         )}
       </header>
-      <div class="stage">
+      <div class="stage" ref={stage}>
         <section aria-label="Skeleton">
           <Scene trial={trial} clock={clock} layers={layers} />
           <div class="layers" role="group" aria-label="What the scene shows">
@@ -64,6 +74,7 @@ function TrialView({ id, trial }: { id: string; trial: Trial }) {
         </section>
       </div>
       <Transport clock={clock} />
+      <Peaks report={report} clock={clock} />
       <section aria-label="Curves">
         <div class="row">
           <div class="tabs" role="group" aria-label="Curves over">
@@ -84,7 +95,7 @@ function TrialView({ id, trial }: { id: string; trial: Trial }) {
       <div class="columns">
         <section>
           <h2>Findings</h2>
-          <Findings findings={report.findings} />
+          <Findings findings={report.findings} onMoment={showFinding} />
         </section>
         <section>
           <h2>Gait</h2>
@@ -172,7 +183,7 @@ function Downloads({ files }: { files: ResultFile[] }) {
             <a href={file.url} download={file.name}>
               {file.name}
             </a>{" "}
-            <span class="quiet">{(file.size / 1e3).toFixed(0)} kB</span>
+            <span class="quiet">{sizeOf(file.size)}</span>
           </li>
         ))}
     </ul>

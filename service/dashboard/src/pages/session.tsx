@@ -2,6 +2,7 @@ import { useMemo, useRef, useState } from "preact/hooks";
 import { api, Problem } from "../api";
 import { useLoaded } from "../load";
 import { isActive, JobRow } from "../parts/job";
+import { type Chosen, Options, parametersOf } from "../parts/options";
 import { ProblemNote } from "../parts/problem";
 import { Uploads } from "../parts/uploads";
 import type { UploadedFile } from "../types";
@@ -28,6 +29,7 @@ export function SessionPage({ id }: { id: string }) {
   const jobs = useLoaded(() => api.jobs(id), `${id} jobs`);
   const uploads = useMemo(() => new Uploads(id, files.again), [id]);
   const [problem, setProblem] = useState<Problem | null>(null);
+  const [options, setOptions] = useState<Chosen>({});
   if (!session.value) return <ProblemNote problem={session.problem} />;
   const isTrial = session.value.kind !== "calibration";
   const busy = jobs.value?.some(isActive) ?? false;
@@ -48,12 +50,13 @@ export function SessionPage({ id }: { id: string }) {
     <>
       <div class="row">
         <h1>{session.value.name || "Unnamed session"}</h1>
-        <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, {}), jobs.again)}>
+        <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, parametersOf(options)), jobs.again)}>
           {isTrial ? "Analyse" : "Calibrate"}
         </button>
       </div>
       <ProblemNote problem={problem ?? files.problem ?? jobs.problem} />
-      <DropZone uploads={uploads} isTrial={isTrial} />
+      <DropZone uploads={uploads} kind={session.value.kind} />
+      {isTrial && <Options chosen={options} onChange={setOptions} />}
       <h2>Files</h2>
       {files.value && <Files files={files.value} onDelete={(file) => attempt(() => api.deleteFile(id, file), files.again)()} />}
       <h2>Jobs</h2>
@@ -72,7 +75,13 @@ export function SessionPage({ id }: { id: string }) {
   );
 }
 
-function DropZone({ uploads, isTrial }: { uploads: Uploads; isTrial: boolean }) {
+const WANTED: Record<string, string> = {
+  human_multicamera: "Drop the cameras' videos here, the calibration if it is a file, the pressure soles' table.",
+  human_monocular: "Drop the camera's video here, and its calibration if it is a file.",
+  calibration: "Drop each camera's video of the board here, and the board's card (board.toml).",
+};
+
+function DropZone({ uploads, kind }: { uploads: Uploads; kind: string }) {
   const picker = useRef<HTMLInputElement>(null);
   const [over, setOver] = useState(false);
   const drop = (event: DragEvent) => {
@@ -92,9 +101,7 @@ function DropZone({ uploads, isTrial }: { uploads: Uploads; isTrial: boolean }) 
       onDrop={drop}
     >
       <p>
-        {isTrial
-          ? "Drop the cameras' videos here, the calibration if it is a file, the pressure soles' table."
-          : "Drop each camera's video of the board here, and the board's card (board.toml)."}{" "}
+        {WANTED[kind]}{" "}
         <button onClick={() => picker.current?.click()}>Choose files</button>
       </p>
       <input ref={picker} type="file" multiple hidden aria-label="Files to upload" onChange={(e) => uploads.add(e.currentTarget.files ?? [])} />
@@ -134,7 +141,7 @@ function Files({ files, onDelete }: { files: UploadedFile[]; onDelete: (id: stri
               {file.camera && ` of ${file.camera}`}
             </td>
             <td>{describeFacts(file.facts)}</td>
-            <td>{(file.size / 1e6).toFixed(1)} MB</td>
+            <td>{sizeOf(file.size)}</td>
             <td>
               <button class="quiet" onClick={() => onDelete(file.id)} aria-label={`Delete ${file.name}`}>
                 Delete
@@ -146,6 +153,8 @@ function Files({ files, onDelete }: { files: UploadedFile[]; onDelete: (id: stri
     </table>
   );
 }
+
+export const sizeOf = (bytes: number) => (bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
 function describeFacts(facts: Record<string, unknown>): string {
   if (typeof facts.width_px === "number" && typeof facts.rate_hz === "number") {

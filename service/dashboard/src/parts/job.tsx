@@ -1,25 +1,55 @@
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { api, Problem } from "../api";
 import { useLoaded } from "../load";
 import type { Job } from "../types";
 import { ProblemNote } from "./problem";
 
 const WORDS = { todo: "waiting", doing: "running", succeeded: "done", failed: "failed", cancelled: "cancelled" };
+const SILENCE_MS = 15_000; // a job that waits or computes a long stage is silent: then asking does no harm
 export const isActive = (job: Job) => job.state === "todo" || job.state === "doing";
+
+/** Follow a job by the service's events; where they don't come through (a proxy that holds them back), ask every second. */
+function useJob(first: Job, onEnd?: () => void): { job: Job; problem: Problem | null } {
+  const [told, setTold] = useState<Job | null>(null);
+  const [silent, setSilent] = useState(false);
+  const active = isActive(first);
+  useEffect(() => {
+    if (!active) return;
+    const events = new EventSource(`/v1/jobs/${first.id}/events`);
+    const giveUp = () => {
+      events.close();
+      setSilent(true);
+    };
+    let patience = setTimeout(giveUp, SILENCE_MS);
+    events.addEventListener("job", (event: MessageEvent<string>) => {
+      clearTimeout(patience);
+      const job: Job = JSON.parse(event.data);
+      setTold(job);
+      if (isActive(job)) patience = setTimeout(giveUp, SILENCE_MS);
+      else {
+        events.close();
+        onEnd?.();
+      }
+    });
+    events.onerror = giveUp;
+    return () => {
+      clearTimeout(patience);
+      events.close();
+    };
+  }, [first.id, active]);
+  const ask = async () => {
+    const job = silent && active ? await api.job(first.id) : first;
+    if (silent && active && !isActive(job)) onEnd?.();
+    return job;
+  };
+  const { value, problem } = useLoaded(ask, `${first.id} ${first.state} ${silent}`, (job) => silent && isActive(job));
+  return { job: active ? ((silent ? value : told) ?? told ?? first) : first, problem };
+}
 
 /** One job, live: how far it is, how long it takes, what came of it. */
 export function JobRow({ job: first, onEnd }: { job: Job; onEnd?: () => void }) {
   const [failure, setFailure] = useState<Problem | null>(null);
-  const { value, problem } = useLoaded(
-    async () => {
-      const job = isActive(first) ? await api.job(first.id) : first;
-      if (!isActive(job) && isActive(first)) onEnd?.();
-      return job;
-    },
-    first.id + first.state,
-    isActive,
-  );
-  const job = value ?? first;
+  const { job, problem } = useJob(first, onEnd);
   const percent = Math.round(100 * (job.progress?.fraction ?? 0));
   const cancel = () => api.cancel(job.id).catch((error: Problem) => setFailure(error));
   return (

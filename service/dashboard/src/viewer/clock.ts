@@ -2,10 +2,19 @@
 
 import { effect, signal } from "@preact/signals";
 
+export interface Meant {
+  start_s: number;
+  end_s: number;
+  camera: string;
+  joint: string;
+}
+
 export class Clock {
   readonly time_s = signal(0);
   readonly playing = signal(false);
   readonly speed = signal(1);
+  /** What a finding speaks of, from the trial's first frame: marked until another one is shown. */
+  readonly meant = signal<Meant | null>(null);
 
   constructor(
     readonly duration_s: number,
@@ -28,6 +37,13 @@ export class Clock {
 
   seek(time_s: number) {
     this.time_s.value = Math.min(Math.max(time_s, 0), this.duration_s);
+  }
+
+  /** Go to a moment and mark what is meant. */
+  show(meant: Meant) {
+    this.playing.value = false;
+    this.meant.value = meant;
+    this.seek(meant.start_s);
   }
 
   stepBy(frames: number) {

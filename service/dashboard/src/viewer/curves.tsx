@@ -5,7 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { CycleCurve, GaitEvent, Report, Series, Side } from "../types";
-import type { Clock } from "./clock";
+import type { Clock, Meant } from "./clock";
 import { LEFT, RIGHT } from "./colours";
 
 const COLOURS = { right: RIGHT, left: LEFT };
@@ -158,6 +158,7 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
               if (time !== null) clock.seek(time);
             },
           ],
+          drawClear: [(self: uPlot) => shade(self, clock.meant.value, fromTime)],
           draw: [(self: uPlot) => mark(self, events, cursor)],
         },
       },
@@ -166,6 +167,7 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
     );
     const stop = effect(() => {
       cursor = fromTime(clock.time_s.value);
+      void clock.meant.value;
       told.current!.textContent = cursor === null ? "" : tell(chart, cursor);
       plot.redraw(false, false);
     });
@@ -178,11 +180,31 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
     };
   }, [chart.title, chart.extra.length]);
   return (
-    <figure class="curve" aria-label={`${chart.title}: ${describe(chart)}`} role="img">
+    <figure class={isMeant(chart, clock.meant.value) ? "curve meant" : "curve"} aria-label={`${chart.title}: ${describe(chart)}`} role="img">
       <div ref={place} />
       <output ref={told} aria-live="off" />
     </figure>
   );
+}
+
+/** Whether a chart is of the joint that a finding speaks of: `right knee`, `Knee flexion, degrees …`. */
+function isMeant(chart: Chart, meant: Meant | null): boolean {
+  const joint = meant?.joint.split(" ").at(-1);
+  return Boolean(joint) && chart.title.toLowerCase().startsWith(joint!);
+}
+
+/** Shade the stretch that a finding speaks of. */
+function shade(plot: uPlot, meant: Meant | null, fromTime: PlotProps["fromTime"]) {
+  if (!meant) return;
+  const [start, end] = [fromTime(meant.start_s), fromTime(meant.end_s)];
+  if (start === null || end === null) return;
+  const { ctx, bbox } = plot;
+  const clamp = (x: number) => Math.min(Math.max(plot.valToPos(x, "x", true), bbox.left), bbox.left + bbox.width);
+  const [left, right] = [clamp(start), clamp(end)];
+  ctx.save();
+  ctx.fillStyle = "#f0e44266";
+  ctx.fillRect(left, bbox.top, right - left, bbox.height);
+  ctx.restore();
 }
 
 const hovered = (plot: uPlot) => plot.over.matches(":hover");

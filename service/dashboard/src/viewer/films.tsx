@@ -45,7 +45,7 @@ function Film({ trial, clock, view, index }: { trial: Trial; clock: Clock; view:
     };
   }, [trial]);
   return (
-    <figure style={{ aspectRatio: `${view.width_px} / ${view.height_px}` }}>
+    <figure class={clock.meant.value?.camera === view.name ? "meant" : ""} style={{ aspectRatio: `${view.width_px} / ${view.height_px}` }}>
       {url && <video ref={video} src={url} muted playsInline preload="auto" />}
       <canvas ref={canvas} width={Math.min(view.width_px, 720)} height={Math.round((view.height_px * Math.min(view.width_px, 720)) / view.width_px)} />
       <figcaption>{view.name}</figcaption>

@@ -10,9 +10,10 @@ from starlette.requests import Request
 
 from gonio.errors import InputError, ResourceError
 from gonio.http import pages
-from gonio.http.dependencies import TheService
-from gonio.http.problems import KINDS, fails
-from gonio.http.schemas import Health
+from gonio.http.dependencies import CurrentLab, TheService
+from gonio.http.problems import GUARD, KINDS, fails
+from gonio.http.schemas import Health, ParametersOut
+from gonio.pipeline.params import calibration_parameters_schema, parameters_schema
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +35,12 @@ def is_ready(service: TheService) -> Health:
         log.warning("Not ready: %s", error)
         raise ResourceError("The service can't work at the moment.", hint="See its log.", code="not-ready") from error
     return Health(status="ready", version=version("gonio"))
+
+
+@router.get("/v1/parameters", responses=fails(*GUARD))
+def list_parameters(_lab: CurrentLab) -> ParametersOut:
+    """List what the `parameters` of an analysis and of a calibration may be."""
+    return ParametersOut(analysis=parameters_schema(), calibration=calibration_parameters_schema())
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
