@@ -15,6 +15,7 @@ from gonio.settings import Settings
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
+from benchmarks import benchmark_pages, draw_plots
 from rest import parameters_page, rest_page
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -67,6 +68,7 @@ def pages() -> dict[Path, str]:
         REFERENCE / "articulated.schema.json": json.dumps(articulated_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "openapi.json": json.dumps(api, indent=2, ensure_ascii=False) + "\n",
+        **benchmark_pages(),
         REFERENCE / "rest.md": rest_page(api),
         REFERENCE / "parameters.md": parameters_page(parameters_schema(), calibration_parameters_schema()),
         REFERENCE / "report.schema.json": json.dumps(report_schema(), indent=2, ensure_ascii=False) + "\n",
@@ -76,3 +78,4 @@ def pages() -> dict[Path, str]:
 if __name__ == "__main__":
     for path, text in pages().items():
         path.write_text(text)
+    draw_plots()
