@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 NAME ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test check bench format lock reference clean
+.PHONY: help demo serve test check bench gate docs format lock reference clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*?## ' $(MAKEFILE_LIST) | awk -F':.*?## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -28,6 +28,12 @@ check: $(VENV)/dev  ## format, lint, types, import contracts, unit and law tests
 
 bench: $(VENV)/dev  ## accuracy and speed against the rivals; NAME=keypoints for one
 	$(BIN)/gonio bench $(NAME)
+
+gate: $(VENV)/dev  ## is what `make bench` measured as exact as the committed baseline?
+	$(BIN)/gonio bench $(NAME) --check
+
+docs: $(VENV)/dev reference  ## the documentation as a site, in build/site
+	PYTHONPATH=docs/tools $(BIN)/zensical build --strict --clean
 
 format: $(VENV)/dev  ## format and mend what ruff can
 	$(BIN)/ruff format .

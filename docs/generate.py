@@ -1,6 +1,7 @@
 """Write the reference pages that are made from the code: `make reference`. A test holds that they are up to date."""
 
 import json
+import sys
 from pathlib import Path
 
 from gonio.formats.articulated import articulated_schema
@@ -8,8 +9,14 @@ from gonio.formats.calibration_json import calibration_schema
 from gonio.http.app import create_app
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.pipeline.findings import KINDS
+from gonio.pipeline.params import calibration_parameters_schema, parameters_schema
 from gonio.pipeline.report_schema import report_schema
 from gonio.settings import Settings
+
+sys.path.insert(0, str(Path(__file__).parent / "tools"))
+
+from benchmarks import benchmark_pages, draw_plots
+from rest import parameters_page, rest_page
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -54,12 +61,16 @@ def verdict_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Give each generated file with its text."""
+    api = create_app(Settings()).openapi()
     return {
         REFERENCE / "findings.md": findings_page(),
         REFERENCE / "calibration-verdict.md": verdict_page(),
         REFERENCE / "articulated.schema.json": json.dumps(articulated_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
-        REFERENCE / "openapi.json": json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False) + "\n",
+        REFERENCE / "openapi.json": json.dumps(api, indent=2, ensure_ascii=False) + "\n",
+        **benchmark_pages(),
+        REFERENCE / "rest.md": rest_page(api),
+        REFERENCE / "parameters.md": parameters_page(parameters_schema(), calibration_parameters_schema()),
         REFERENCE / "report.schema.json": json.dumps(report_schema(), indent=2, ensure_ascii=False) + "\n",
     }
 
@@ -67,3 +78,4 @@ def pages() -> dict[Path, str]:
 if __name__ == "__main__":
     for path, text in pages().items():
         path.write_text(text)
+    draw_plots()

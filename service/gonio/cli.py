@@ -394,11 +394,23 @@ def make_board(
 
 
 @app.command()
-def bench(name: Annotated[str, typer.Argument(help="One bench; all without a name.")] = "") -> None:
+def bench(
+    name: Annotated[str, typer.Argument(help="One bench; all without a name.")] = "",
+    check: Annotated[
+        bool, typer.Option("--check", help="Measure nothing: compare what was measured with the baseline.")
+    ] = False,
+    baseline: Annotated[Path, typer.Option(help="The folder with the committed runs.")] = Path(
+        "docs/benchmarks/baseline"
+    ),
+) -> None:
     """Measure accuracy and speed against the rivals, in the same run."""
     from gonio.bench import run_benches
+    from gonio.bench.gate import check as check_runs
 
-    run_benches(name, Path("build"), console)
+    if check:
+        check_runs(name, Path("build") / "bench", baseline, console)
+    else:
+        run_benches(name, Path("build"), console)
 
 
 @app.command()

@@ -23,6 +23,7 @@ from gonio.errors import GonioError, InputError
 PACKAGES = ("gonio", "numpy", "scipy", "numba", "onnxruntime", "av", "opencv-contrib-python-headless")
 NOT_BENCHES = {
     "__init__",
+    "gate",
     "peers",
     "recordings",
     "board_sessions",

@@ -30,7 +30,7 @@ from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import Angle, GaitReport
 from gonio.pipeline.rounding import array_of
 from gonio.pipeline.run import LocalRunner, ReportFiles
-from gonio.records import Camera, Motion, VirtualTrial, Walk
+from gonio.records import Camera, Motion, Rig, VirtualTrial, Walk
 from gonio.resources import models_dir
 from gonio.vision.render import draw_walk, write_video
 
@@ -81,12 +81,12 @@ def _analyse(gonio: Client, files: Iterable[Path], output: Path, console: Consol
     return paths["report.html"], load_report(paths["report.json"])
 
 
-def film_walk(duration_s: float = DURATION_S) -> VirtualTrial:
-    """Film the demo's walker with the paper's four cameras."""
+def film_walk(duration_s: float = DURATION_S, rig: Rig | None = None) -> VirtualTrial:
+    """Film the demo's walker with the cameras of a rig; without one, with the paper's four."""
     body = read_osim(models_dir() / "bodies" / f"fullbody_{SEX}.osim")
     walker = walk(grow(body, stature_m=STATURE_M, mass_kg=MASS_KG), SPEED_M_S)
     card = read_markerset(models_dir() / "markersets" / "blazepose33.toml")
-    return film(walker, make_rig(), card, effects=PRESETS["occluded"], rate_hz=RATE_HZ, duration_s=duration_s)
+    return film(walker, rig or make_rig(), card, effects=PRESETS["occluded"], rate_hz=RATE_HZ, duration_s=duration_s)
 
 
 def write_session(trial: VirtualTrial, folder: Path, *, seed: int = 0) -> list[Path]:

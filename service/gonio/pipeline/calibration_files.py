@@ -57,7 +57,7 @@ def find_calibration_files(folder: Path) -> list[CaptureFile]:
         if suffix in IMAGE_SUFFIXES.union(VIDEO_SUFFIXES):
             role, camera = _role_and_camera(path.relative_to(folder), suffix in IMAGE_SUFFIXES)
             found.append(CaptureFile(path=path, name=path.name, role=role, camera=camera))
-        elif stem.removesuffix(".qca") in ROLE_NAMES:
+        elif stem.removesuffix(".qca") in ROLE_NAMES and suffix != ".pdf":  # a card's own print lies beside it
             role = ROLE_NAMES[stem.removesuffix(".qca")]
             found.append(CaptureFile(path=path, name=path.name, role=role))
     if not any(file.role in ("sweep", "lens") for file in found):

@@ -304,3 +304,9 @@ def test_folders_tell_what_pictures_are(tmp_path):
             with pytest.raises(InputError) as caught:
                 find_calibration_files(folder)
             assert caught.value.code == code
+
+
+def test_the_print_of_a_card_beside_it_is_no_second_card(tmp_path):
+    for name in ("board.toml", "board.pdf", "cam1.mp4"):
+        (tmp_path / name).touch()
+    assert [file.name for file in find_calibration_files(tmp_path) if file.role == "board"] == ["board.toml"]
