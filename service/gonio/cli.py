@@ -1,4 +1,4 @@
-"""The command line: gonio serve, worker, analyse, articulated, mask, scale, ik, id, demo, models, boards, keys, bench …"""
+"""The command line; ``gonio --help`` lists its commands."""
 
 import json
 import sys
@@ -219,9 +219,10 @@ def mask(
     picture: Annotated[Path, typer.Argument(help="The photograph.")],
     box: Annotated[str, typer.Option(help="Around the part, closely: LEFT,TOP,RIGHT,BOTTOM in pixels.")],
     output: Annotated[Path, typer.Option(help="The mask to write, such as masks/arm/left.png.")],
+    without: Annotated[Path | None, typer.Option(help="The mask of another part that lies in the box.")] = None,
 ) -> None:
     """Cut a part out of its box in a photograph; look at the mask, and mend it in any painting programme."""
-    from gonio.vision.masks import cut_out, write_mask
+    from gonio.vision.masks import cut_out, read_mask, write_mask
     from gonio.vision.stills import read_rgb
 
     try:
@@ -230,7 +231,9 @@ def mask(
         raise InputError(
             f"The box {box!r} is not four whole numbers.", hint="Write --box 120,80,410,390.", code="box-unfit"
         ) from error
-    found = cut_out(read_rgb(picture), (left, top, right, bottom))
+    rgb = read_rgb(picture)
+    other = None if without is None else read_mask(without, (rgb.shape[1], rgb.shape[0]))
+    found = cut_out(rgb, (left, top, right, bottom), without=other)
     write_mask(output, found)
     print(
         f"{output}: {int(found.sum())} pixels, {100 * found.sum() / ((right - left) * (bottom - top)):.0f} % of the box"

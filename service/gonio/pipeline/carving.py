@@ -104,7 +104,7 @@ def read_masks(folder: Path, parts: list[str], cameras: tuple[Camera, ...]) -> M
                     hint=f"Name each mask after its picture: {', '.join(f'{name}.png' for name in by_name)}.",
                     code="mask-unknown-picture",
                 )
-            own[path.stem] = read_mask(path, by_name[path.stem])
+            own[path.stem] = read_mask(path, by_name[path.stem].image_size_px)
         if len(own) == 1:
             raise InputError(
                 f"Part {place.name} has one mask only: one silhouette has no depth.",

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from gonio.errors import CaptureError, InputError
-from gonio.records import Camera
 from gonio.vision.stills import decoded
 
 AROUND = 0.25
@@ -20,8 +19,8 @@ SPECK = 0.02
 """A piece that is a smaller share of the largest one is a speck."""
 
 
-def read_mask(path: Path, camera: Camera) -> Bool[np.ndarray, "height width"]:
-    """Read the mask of one part in one picture: white, or not transparent, where the part is.
+def read_mask(path: Path, size_px: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
+    """Read the mask of one part in one picture: white, or not transparent, where the part is; ``size_px`` is the picture's.
 
     Raises:
         InputError: ``mask-wrong-size``, ``mask-empty``, ``mask-full`` or ``mask-cut``, or the file is no picture.
@@ -31,10 +30,9 @@ def read_mask(path: Path, camera: Camera) -> Bool[np.ndarray, "height width"]:
     see_through = bright.shape[2] == 4 and not bright[..., 3].all()
     mask = np.asarray(bright[..., 3] if see_through else bright[..., :3].any(axis=-1), dtype=bool)
     where = f"The mask {path.parent.name}/{path.name}"
-    if mask.shape[::-1] != tuple(camera.image_size_px):
+    if mask.shape[::-1] != tuple(size_px):
         raise InputError(
-            f"{where} has {mask.shape[1]} × {mask.shape[0]} pixels, the picture "
-            f"{camera.image_size_px[0]} × {camera.image_size_px[1]}.",
+            f"{where} has {mask.shape[1]} × {mask.shape[0]} pixels, the picture {size_px[0]} × {size_px[1]}.",
             hint="Draw the mask over the photograph itself, without cutting or scaling it.",
             code="mask-wrong-size",
         )
@@ -63,13 +61,17 @@ def write_mask(path: Path, mask: Bool[np.ndarray, "height width"]) -> None:
 
 
 def cut_out(
-    rgb: UInt8[np.ndarray, "height width 3"], box_px: tuple[int, int, int, int]
+    rgb: UInt8[np.ndarray, "height width 3"],
+    box_px: tuple[int, int, int, int],
+    *,
+    without: Bool[np.ndarray, "height width"] | None = None,
 ) -> Bool[np.ndarray, "height width"]:
     """Find the thing in a box by GrabCut [Rother 2004]: what in the box looks unlike all around it. Deterministic.
 
     Args:
         rgb: The photograph.
         box_px: Left, top, right and bottom, half-open; as tight as can be without cutting the thing.
+        without: Pixels that are surely something else, such as another part's mask.
 
     Raises:
         InputError: ``box-unfit``: the box is not in the picture, or leaves nothing around it.
@@ -99,6 +101,9 @@ def cut_out(
     labels = np.full(small.shape[:2], cv2.GC_BGD, np.uint8)
     inner = [round(v * scale) for v in (left - x0, top - y0, right - x0, bottom - y0)]
     labels[inner[1] : inner[3], inner[0] : inner[2]] = cv2.GC_PR_FGD
+    if without is not None:
+        other = cv2.resize(without[y0:y1, x0:x1].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        labels[other] = cv2.GC_BGD
     cv2.setRNGSeed(0)
     cv2.grabCut(small, labels, None, np.zeros((1, 65)), np.zeros((1, 65)), 5, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload] - no rectangle
     found = _without_specks(labels == cv2.GC_PR_FGD)
@@ -111,7 +116,7 @@ def cut_out(
     mask = np.zeros((height, width), dtype=bool)
     fine = cv2.resize(found.astype(np.float32), (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
     mask[y0:y1, x0:x1] = fine > 0.5
-    return mask
+    return mask if without is None else mask & ~without
 
 
 def _without_specks(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:

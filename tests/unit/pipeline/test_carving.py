@@ -155,6 +155,8 @@ def test_grabcut_finds_a_thing_in_its_box(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.output
     found = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) > 127
     assert (found & truth).sum() / (found | truth).sum() > 0.97
+    left = np.indices(truth.shape)[1] < 300
+    assert not (cut_out(rgb, (185, 95, 455, 285), without=left) & left).any()
     for box in ((0, 0, 600, 400), (500, 300, 700, 390), (10, 10, 12, 300)):
         with pytest.raises(InputError) as refused:
             cut_out(rgb, box)
