@@ -22,6 +22,11 @@ MASKS, PICTURES, PARTS = "masks", "pictures", "parts"
 LOW_OVERLAP = 0.85
 """Right masks and motions give 0.93 to 0.99, half a voxel and half a pixel all around (``gonio bench articulated_paper``)."""
 
+LEAST_JUDGED = 4
+"""Of fewer silhouettes, any two that are left fit together nearly always: none can be blamed."""
+
+COARSE_VOXELS = 64
+
 VOXELS_ALLOWED = (16, 512)
 
 Masks = dict[str, dict[str, np.ndarray]]
@@ -55,11 +60,14 @@ def carve_folder(
     pictures = _read_pictures(folder / PICTURES, cameras)
     Ts = {joint.part: np.array([p.T_world_part for p in joint.pictures]) for joint in motion.joints}
     carved: dict[str, CarvedPart] = {}
+    findings: list[Finding] = []
     for name in masks:
+        silhouettes = tuple(silhouettes_of(name, masks, cameras, Ts[name], pictures))
         try:
-            carved[name] = carve_part(tuple(silhouettes_of(name, masks, cameras, Ts[name], pictures)), voxels)
+            carved[name] = carve_part(silhouettes, voxels)
         except CaptureError as error:
             raise CaptureError(f"Part {name}: {error.message}", hint=error.hint, code=error.code) from error
+        findings += _judged(name, silhouettes, carved[name].overlap)
     out = folder / PARTS
     out.mkdir(exist_ok=True)
     parts = [
@@ -74,8 +82,11 @@ def carve_folder(
         camera.name: _write(out, f"body {camera.name}", {name: (p.mesh, Ts[name][i]) for name, p in carved.items()})
         for i, camera in enumerate(cameras)
     }
-    findings = [_told(each) for each in _findings(names, parts, bool(pictures))]
-    document = CarvingDocument(reference=motion.reference, parts=parts, bodies=bodies, findings=findings)
+    findings += [finding("part-not-carved", where=name) for name in names if name not in carved]
+    findings += [finding("part-without-colours", where=name) for name in carved if not pictures]
+    document = CarvingDocument(
+        reference=motion.reference, parts=parts, bodies=bodies, findings=[_told(each) for each in findings]
+    )
     write_carving(folder / "carving.json", document)
     return document
 
@@ -171,17 +182,30 @@ def _write(folder: Path, name: str, parts: Posed) -> list[str]:
     return [f"{folder.name}/{name}.{kind}" for kind in ("glb", "ply")]
 
 
-def _findings(names: list[str], parts: list[CarvedPartDocument], with_pictures: bool) -> Iterator[Finding]:
-    carved = {part.part for part in parts}
-    for name in names:
-        if name not in carved:
-            yield finding("part-not-carved", where=name)
-    for part in parts:
-        picture, worst = min(part.overlap.items(), key=lambda pair: pair[1])
-        if worst < LOW_OVERLAP:
-            yield finding("hull-overlap-low", where=f"{part.part} in {picture}", value=100 * worst)
-        if not with_pictures:
-            yield finding("part-without-colours", where=part.part)
+def _judged(part: str, silhouettes: tuple[Silhouette, ...], overlap: np.ndarray) -> Iterator[Finding]:
+    """Say that a part covers its masks badly, and which picture is to blame if leaving one out mends it.
+
+    The blame has to be found so: a mask that lacks a piece carves it away everywhere, and is itself covered perfectly.
+    """
+    worst = int(np.argmin(overlap))
+    if overlap[worst] >= LOW_OVERLAP:
+        return
+    where = f"{part} in {{}}"
+    yield finding(
+        "hull-overlap-low", where=where.format(silhouettes[worst].camera.name), value=100 * float(overlap[worst])
+    )
+    if len(silhouettes) < LEAST_JUDGED:
+        return
+    without: dict[str, float] = {}
+    for left_out in silhouettes:
+        others = tuple(each for each in silhouettes if each is not left_out)
+        try:
+            without[left_out.camera.name] = float(carve_part(others, COARSE_VOXELS).overlap.min())
+        except CaptureError:
+            continue
+    picture, best = max(without.items(), key=lambda pair: pair[1], default=("", 0.0))
+    if best >= LOW_OVERLAP:
+        yield finding("picture-misfits", where=where.format(picture), value=100 * best)
 
 
 def _told(each: Finding) -> CarvingFinding:

@@ -12,6 +12,13 @@ CARVING_KINDS: dict[str, Kind] = {
         "part and its parents: marks, noise_px, ambiguous.",
         "%",
     ),
+    "picture-misfits": Kind(
+        "warning",
+        "carving",
+        "Part {where} is what does not fit: without this picture, the solid covers the other masks to {value:.0f} % at least.",
+        "Mend this mask, or the marks of the part in this picture.",
+        "%",
+    ),
     "part-not-carved": Kind(
         "info",
         "carving",

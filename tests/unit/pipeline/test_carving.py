@@ -96,7 +96,24 @@ def test_a_wrong_motion_shows_in_the_overlap(solved: tuple[Path, VirtualBody, Ar
     base = wrong.joints[0].pictures[2]
     base.T_world_part[2][3] += 0.08  # across the line of sight
     document = carve_folder(folder, body.cameras, wrong, 48)
-    assert [each.code for each in document.findings if each.where.startswith("base")] == ["hull-overlap-low"]
+    codes = {each.code: each.where for each in document.findings if each.where.startswith("base")}
+    assert set(codes) == {"hull-overlap-low", "picture-misfits"}
+    assert codes["picture-misfits"] == "base in picture 3"
+
+
+def test_a_mask_that_lacks_a_piece_is_named(
+    tmp_path: Path, solved: tuple[Path, VirtualBody, ArticulatedDocument]
+) -> None:
+    _, body, motion = solved
+    photograph(tmp_path, body)
+    path = tmp_path / "masks/base/picture 4.png"
+    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127
+    rows = np.flatnonzero(mask.any(axis=1))
+    mask[: (2 * rows[0] + rows[-1]) // 3] = False
+    write_mask(path, mask)
+    document = carve_folder(tmp_path, body.cameras, motion, 48)
+    assert document.parts[0].overlap["picture 4"] > max(list(document.parts[0].overlap.values())[:3])
+    assert [each.where for each in document.findings if each.code == "picture-misfits"] == ["base in picture 4"]
 
 
 Spoil = Callable[[Path], object]
