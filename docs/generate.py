@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gonio.formats.articulated import articulated_schema
 from gonio.formats.calibration_json import calibration_schema
+from gonio.formats.carving import carving_schema
 from gonio.http.app import create_app
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.pipeline.findings import KINDS
@@ -65,6 +66,7 @@ def pages() -> dict[Path, str]:
     return {
         REFERENCE / "findings.md": findings_page(),
         REFERENCE / "calibration-verdict.md": verdict_page(),
+        REFERENCE / "carving.schema.json": json.dumps(carving_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "articulated.schema.json": json.dumps(articulated_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "calibration.schema.json": json.dumps(calibration_schema(), indent=2, ensure_ascii=False) + "\n",
         REFERENCE / "openapi.json": json.dumps(api, indent=2, ensure_ascii=False) + "\n",

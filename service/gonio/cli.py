@@ -1,4 +1,4 @@
-"""The command line: gonio serve | worker | analyse | articulated | scale | ik | id | demo | models | boards | keys | bench."""
+"""The command line; ``gonio --help`` lists its commands."""
 
 import json
 import sys
@@ -12,6 +12,7 @@ from gonio.errors import GonioError, InputError
 from gonio.terminal import progress_bar, stage_lines
 
 if TYPE_CHECKING:
+    from gonio.formats.articulated import ArticulatedDocument
     from gonio.pipeline.opensim_tools import ToolResult
 
 app = typer.Typer(
@@ -185,8 +186,9 @@ def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an Inverse
 def articulated(
     folder: Annotated[Path, typer.Argument(help="Holds cameras.json or .toml, body.toml, and tracks.csv or .json.")],
     output: Annotated[Path | None, typer.Option(help="The result. [default: motion.json in the folder]")] = None,
+    voxels: Annotated[int, typer.Option(help="Voxels along a carved part's longest side.")] = 128,
 ) -> None:
-    """Find how the joints of a body moved between a few pictures of one moving camera."""
+    """Find how the joints of a body moved between a few pictures of one moving camera; with masks, its parts in 3D."""
     from gonio.pipeline.articulated import solve_folder
 
     document = solve_folder(folder, output)
@@ -195,6 +197,47 @@ def articulated(
         doubt = "; a different motion explains the pictures nearly as well" if joint.ambiguous else ""
         print(f"{joint.part}: {joint.joint}, turns known to {worst:.2g}°, noise {joint.noise_px:.2g} px{doubt}")
     print(output or folder / "motion.json")
+    if (folder / "masks").is_dir():
+        _carve(folder, document, voxels)
+
+
+def _carve(folder: Path, motion: "ArticulatedDocument", voxels: int) -> None:
+    from gonio.pipeline.articulated import cameras_of
+    from gonio.pipeline.carving import carve_folder
+
+    carving = carve_folder(folder, cameras_of(folder), motion, voxels)
+    for part in carving.parts:
+        overlap = ", ".join(f"{picture} {100 * share:.1f} %" for picture, share in part.overlap.items())
+        print(f"{part.part}: {1e3 * part.volume_m3:.3g} l; covers its masks to {overlap}")
+    for finding in carving.findings:
+        console.print(f"{finding.severity}: {finding.message}\n→ {finding.hint}", soft_wrap=True)
+    print(folder / "carving.json")
+
+
+@app.command()
+def mask(
+    picture: Annotated[Path, typer.Argument(help="The photograph.")],
+    box: Annotated[str, typer.Option(help="Around the part, closely: LEFT,TOP,RIGHT,BOTTOM in pixels.")],
+    output: Annotated[Path, typer.Option(help="The mask to write, such as masks/arm/left.png.")],
+    without: Annotated[Path | None, typer.Option(help="The mask of another part that lies in the box.")] = None,
+) -> None:
+    """Cut a part out of its box in a photograph; look at the mask, and mend it in any painting programme."""
+    from gonio.vision.masks import cut_out, read_mask, write_mask
+    from gonio.vision.stills import read_rgb
+
+    try:
+        left, top, right, bottom = (int(part) for part in box.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"The box {box!r} is not four whole numbers.", hint="Write --box 120,80,410,390.", code="box-unfit"
+        ) from error
+    rgb = read_rgb(picture)
+    other = None if without is None else read_mask(without, (rgb.shape[1], rgb.shape[0]))
+    found = cut_out(rgb, (left, top, right, bottom), without=other)
+    write_mask(output, found)
+    print(
+        f"{output}: {int(found.sum())} pixels, {100 * found.sum() / ((right - left) * (bottom - top)):.0f} % of the box"
+    )
 
 
 @app.command("id")

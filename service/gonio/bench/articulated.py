@@ -61,7 +61,7 @@ def _measure(
                 continue
             seconds.append((time.process_time() - begun) / len(shapes))
             for motion in motions:
-                errors = _errors(body, motion)
+                errors = errors_of(body, motion)
                 successes.append(bool(errors[0] < max(SUCCESS_DEG, 3 * np.degrees(motion.rotation_sd_rad.max()))))
                 squares += _squares(body, motion)
                 table.setdefault(motion.part, []).append(errors)
@@ -86,7 +86,7 @@ def _measure(
         bench.add(f"time_ratio_to_paper_{name}", np.median(seconds) / np.median(paper_seconds), "×")
 
 
-def _errors(body: VirtualBody, motion: JointMotion) -> list[float]:
+def errors_of(body: VirtualBody, motion: JointMotion) -> list[float]:
     """Give the worst and the mean turn error (degrees), the mean dot product, and length_1 and length_2 of the worst picture.
 
     Lengths are of the displacement of the part's middle, because a translation alone depends on where the origin is.

@@ -17,6 +17,7 @@ from gonio.formats.articulated import (
 )
 from gonio.formats.calibration import read_calibration
 from gonio.kernel.articulated.chain import solve_body
+from gonio.records import Camera
 
 CAMERAS, TRACKS = ("cameras.json", "cameras.toml"), ("tracks.csv", "tracks.json")
 
@@ -31,10 +32,10 @@ def solve_folder(folder: Path, output: Path | None = None) -> ArticulatedDocumen
         InputError: A file is missing or wrong; the message names it.
         CaptureError: A joint's motion can't be told from these pictures; the code says why.
     """
-    cameras = read_calibration(_one_of(folder, CAMERAS)).cameras
-    card = read_body_card(_one_of(folder, ("body.toml",)))
+    cameras = cameras_of(folder)
+    card = read_body_card(one_of(folder, ("body.toml",)))
     pictures = tuple(camera.name for camera in cameras)
-    parts, points = read_tracks(_one_of(folder, TRACKS), card, pictures)
+    parts, points = read_tracks(one_of(folder, TRACKS), card, pictures)
     reference = card.reference or pictures[0]
     if reference not in pictures:
         raise InputError(
@@ -54,7 +55,17 @@ def solve_folder(folder: Path, output: Path | None = None) -> ArticulatedDocumen
     return document
 
 
-def _one_of(folder: Path, names: tuple[str, ...]) -> Path:
+def cameras_of(folder: Path) -> tuple[Camera, ...]:
+    """Read the folder's cameras, one a picture."""
+    return read_calibration(one_of(folder, CAMERAS)).cameras
+
+
+def one_of(folder: Path, names: tuple[str, ...]) -> Path:
+    """Give the first of these files that the folder has.
+
+    Raises:
+        InputError: ``file-missing``.
+    """
     for name in names:
         if (folder / name).is_file():
             return folder / name

@@ -4,6 +4,7 @@
 """
 
 from gonio.pipeline.finding_kind import Kind
+from gonio.pipeline.findings_carving import CARVING_KINDS
 from gonio.pipeline.findings_forces import FORCE_KINDS
 from gonio.pipeline.findings_lab import LAB_KINDS
 from gonio.pipeline.findings_monocular import MONOCULAR_KINDS
@@ -444,6 +445,7 @@ KINDS: dict[str, Kind] = {
     **LAB_KINDS,
     **FORCE_KINDS,
     **MONOCULAR_KINDS,
+    **CARVING_KINDS,
 }
 
 

@@ -33,6 +33,7 @@ from gonio.records.calibration import (
 )
 from gonio.records.camera import Camera, Rig
 from gonio.records.capture import Capture, View
+from gonio.records.carving import CarvedPart, Hull, Mesh, Silhouette
 from gonio.records.finding import Finding, Severity
 from gonio.records.force_plates import FootForces, ForcePlates
 from gonio.records.gait import (
@@ -101,6 +102,7 @@ __all__ = [
     "Calibration",
     "Camera",
     "Capture",
+    "CarvedPart",
     "CoordinatePrior",
     "Coordinates",
     "CycleCurves",
@@ -119,6 +121,7 @@ __all__ = [
     "GaitCycle",
     "GaitEvents",
     "GroundForces",
+    "Hull",
     "ImagePoints",
     "Intrinsics",
     "JointKind",
@@ -135,6 +138,7 @@ __all__ = [
     "Markers",
     "Measure",
     "Measurement",
+    "Mesh",
     "Motion",
     "NormCondition",
     "NormCurve",
@@ -147,6 +151,7 @@ __all__ = [
     "RigCheck",
     "Severity",
     "Sightings",
+    "Silhouette",
     "Steps",
     "Task",
     "TaskForces",

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
@@ -9,35 +10,11 @@ import numpy as np
 import pytest
 
 from gonio.errors import GonioError, InputError
-from gonio.formats.articulated import COLUMNS, articulated_schema
-from gonio.formats.toml_calibration import write_toml_calibration
+from gonio.formats.articulated import articulated_schema
 from gonio.kernel.virtual_lab.articulated import BODIES, VirtualBody, virtual_body
 from gonio.pipeline.articulated import solve_folder
-from gonio.records import Rig
 
-BODY = """
-[floor]
-normal = [0, 2, 0]
-offset_m = 0.0
-[parts.shoulder]
-parent = "base"
-joint = "spherical"
-[parts.base]
-joint = "free"
-on_floor = ["p0", "p1", "p2", "p3"]
-"""
-
-
-def fill(folder: Path, body: VirtualBody) -> None:
-    write_toml_calibration(folder / "cameras.toml", Rig(cameras=body.cameras, source="virtual"))
-    (folder / "body.toml").write_text(BODY)
-    with (folder / "tracks.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for part in body.parts:
-            for i, camera in enumerate(body.cameras):
-                for k, (u, v) in enumerate(part.uv_px[i]):
-                    writer.writerow([camera.name, part.name, f"p{k}", repr(float(u)), repr(float(v))])
+Fill = Callable[[Path, VirtualBody], None]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +22,7 @@ def body() -> VirtualBody:
     return virtual_body(BODIES["mannequin"], 1, noise_px=0.0)
 
 
-def test_a_folder_is_solved(tmp_path: Path, body: VirtualBody) -> None:
+def test_a_folder_is_solved(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
     fill(tmp_path, body)
     solve_folder(tmp_path)
     document = json.loads((tmp_path / "motion.json").read_text())
@@ -59,7 +36,7 @@ def test_a_folder_is_solved(tmp_path: Path, body: VirtualBody) -> None:
     np.testing.assert_allclose(document["joints"][1]["centre_m"], BODIES["mannequin"][1].joint_m, atol=1e-6)
 
 
-def test_tracks_may_be_json(tmp_path: Path, body: VirtualBody) -> None:
+def test_tracks_may_be_json(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
     fill(tmp_path, body)
     rows = list(csv.DictReader((tmp_path / "tracks.csv").read_text().splitlines()))
     first = solve_folder(tmp_path)
@@ -90,7 +67,7 @@ CODES = {"a cycle": "joint-tree-broken"}
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_bad_files_are_refused_by_name(tmp_path: Path, body: VirtualBody, case: str) -> None:
+def test_bad_files_are_refused_by_name(tmp_path: Path, body: VirtualBody, fill: Fill, case: str) -> None:
     fill(tmp_path, body)
     name, old, new = WRONG[case]
     edit(tmp_path / name, old, new, 1)
@@ -100,7 +77,7 @@ def test_bad_files_are_refused_by_name(tmp_path: Path, body: VirtualBody, case: 
     assert refused.value.code == expected
 
 
-def test_a_part_with_two_points_and_missing_files_are_refused(tmp_path: Path, body: VirtualBody) -> None:
+def test_a_part_with_two_points_and_missing_files_are_refused(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
     fill(tmp_path, body)
     lines = (tmp_path / "tracks.csv").read_text().splitlines(keepends=True)
     kept = [line for line in lines if ",shoulder," not in line or ",p0," in line or ",p1," in line]

@@ -1,0 +1,1 @@
+"""Space carving: from silhouettes and cameras to a coloured solid, and how well it covers the silhouettes again."""
