@@ -14,10 +14,11 @@ def trial():
 
 
 @pytest.mark.parametrize(
-    ("method", "low_nm"), [("vertical", 25), ("newton_euler", 13), ("pivot", 4.4), ("template", 0)]
+    ("method", "low_nm"), [("vertical", 25), ("newton_euler", 13), ("pivot", 4.0), ("template", 0)]
 )
 def test_each_method_misses_the_knee_as_much_as_published(trial, method, low_nm):
-    # Published on this walk: 26.1, 14.1, 4.9 and 3.0 Nm. Within half a newton metre, or 5 %, for the interpolation.
+    # Published on this walk: 26.1, 14.1, 4.9 (without the moment, which takes 0.7 off) and 3.0 Nm. Within half a newton
+    # metre, or 5 %, for the interpolation.
     rmse_nm, r = compare(knees_by(trial, method), trial.knees_nm)
     assert low_nm < rmse_nm <= METHODS[method]
     if method == "template":
