@@ -31,6 +31,7 @@ NOT_BENCHES = {
     "servers",
     "service_house",
     "service_load",
+    "service_outage",
 }
 
 
