@@ -39,6 +39,8 @@ class Filming:
 
     cameras: int = 4
     radius_m: float = 3.5
+    image_size_px: tuple[int, int] = IMAGE_SIZE_PX
+    focal_px: float = 600.0
     board: Board = BOARD
     rate_hz: float = 5.0
     poses: int = 120
@@ -137,8 +139,8 @@ def film(seed: int, filming: Filming = Filming()) -> Session:
         filming.cameras if filming.cameras > 3 else 6,
         radius_m=filming.radius_m,
         height_m=2.0,
-        image_size_px=IMAGE_SIZE_PX,
-        focal_px=600.0,
+        image_size_px=filming.image_size_px,
+        focal_px=filming.focal_px,
     )
     # Two or three cameras are neighbours on a ring of six: opposite ones never see the same side of a board.
     rig = scatter_lenses(replace(ring, cameras=ring.cameras[: filming.cameras]), source)
