@@ -286,7 +286,8 @@ def cameras_document(located: LocatedPictures, points: list[str]) -> CamerasDocu
         # The centre is −Rᵀ t: of the pose's small changes (turn, shift) only the shift moves it.
         pictures.append(
             CameraMotion(
-                picture=camera.name, image_size_px=camera.image_size_px, T_world_cam=camera.T_lab_cam.tolist(), focal_px=float(K[0, 0]),
+                picture=camera.name, image_size_px=camera.image_size_px, T_world_cam=camera.T_lab_cam.tolist(),
+                focal_px=float(K[0, 0]),
                 principal_px=(float(K[0, 2]), float(K[1, 2])), distortion=tuple(camera.distortion.tolist()),
                 turn_sd_deg=float(np.degrees(np.sqrt(np.trace(block[:3, :3])))),
                 shift_sd_m=float(np.sqrt(np.trace(block[3:6, 3:6]))), focal_sd_px=float(np.sqrt(block[6, 6])),

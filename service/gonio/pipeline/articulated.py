@@ -17,8 +17,8 @@ from gonio.formats.articulated import (
     cameras_document,
     floor_of,
     joint_document,
-    read_cameras,
     read_body_card,
+    read_cameras,
     read_tracks,
     write_motion,
 )
