@@ -184,18 +184,21 @@ def ik(setup: Annotated[Path, typer.Argument(help="OpenSim's setup of an Inverse
 
 @app.command()
 def articulated(
-    folder: Annotated[Path, typer.Argument(help="Holds cameras.json or .toml, body.toml, and tracks.csv or .json.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Holds body.toml, tracks.csv or .json, and cameras.json or .toml, background.csv or a folder of pictures."
+        ),
+    ],
     output: Annotated[Path | None, typer.Option(help="The result. [default: motion.json in the folder]")] = None,
     voxels: Annotated[int, typer.Option(help="Voxels along a carved part's longest side.")] = 128,
 ) -> None:
     """Find how the joints of a body moved between a few pictures of one moving camera; with masks, its parts in 3D."""
-    from gonio.pipeline.articulated import solve_folder
+    from gonio.pipeline.articulated import articulated_lines, solve_folder
 
     document = solve_folder(folder, output)
-    for joint in document.joints:
-        worst = max(picture.turn_sd_deg for picture in joint.pictures)
-        doubt = "; a different motion explains the pictures nearly as well" if joint.ambiguous else ""
-        print(f"{joint.part}: {joint.joint}, turns known to {worst:.2g}°, noise {joint.noise_px:.2g} px{doubt}")
+    for line in articulated_lines(document):
+        print(line)
     print(output or folder / "motion.json")
     if (folder / "masks").is_dir():
         _carve(folder, document, voxels)
@@ -205,7 +208,7 @@ def _carve(folder: Path, motion: "ArticulatedDocument", voxels: int) -> None:
     from gonio.pipeline.articulated import cameras_of
     from gonio.pipeline.carving import carve_folder
 
-    carving = carve_folder(folder, cameras_of(folder), motion, voxels)
+    carving = carve_folder(folder, cameras_of(folder, motion), motion, voxels)
     for part in carving.parts:
         overlap = ", ".join(f"{picture} {100 * share:.1f} %" for picture, share in part.overlap.items())
         print(f"{part.part}: {1e3 * part.volume_m3:.3g} l; covers its masks to {overlap}")

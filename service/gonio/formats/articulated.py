@@ -15,61 +15,52 @@
     joint = "spherical"
     # length = { points = ["a1", "a4"], length_m = 0.31, sd_m = 0.001 }   # instead of a floor, for a free part
 
-``tracks.csv`` has the columns ``picture,part,point,u_px,v_px``, a row for each point that is seen; ``tracks.json`` is a list
-of objects with the same names. docs/howto/articulated.md shows both at work.
+Without a file of the cameras, a table ``[background]`` (:mod:`gonio.formats.background`) says what of the background gives
+them a measure. ``tracks.csv`` has the columns ``picture,part,point,u_px,v_px``, a row for each point that is seen;
+``tracks.json`` is a list of objects with the same names. docs/howto/articulated.md shows both at work.
 """
 
-import csv
-import json
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from gonio.errors import InputError
-from gonio.records import Floor, JointKind, JointMotion, KnownLength, Part
+from gonio.formats.background import BackgroundCard
+from gonio.formats.marks import LengthCard, Strict, bad_marks, read_marks
+from gonio.records import UNKNOWNS, Camera, Floor, JointKind, JointMotion, KnownLength, LocatedPictures, Part
 
-COLUMNS = ("picture", "part", "point", "u_px", "v_px")
 FORMAT = "gonio articulated motion"
 
 Three = tuple[float, float, float]
 Matrix3 = tuple[Three, Three, Three]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _Length(_Strict):
-    points: tuple[str, str]
-    length_m: float = Field(gt=0)
-    sd_m: float = Field(default=0.0, ge=0)
-
-
-class _PartCard(_Strict):
+class _PartCard(Strict):
     joint: JointKind
     parent: str | None = None
-    on_floor: list[str] = []
-    length: _Length | None = None
+    on_floor: list[str] = Field(default_factory=list)
+    length: LengthCard | None = None
 
 
-class _FloorCard(_Strict):
+class _FloorCard(Strict):
     normal: Three
     offset_m: float
 
 
-class BodyCard(_Strict):
+class BodyCard(Strict):
     """The joint tree as ``body.toml`` has it."""
 
     parts: dict[str, _PartCard] = Field(min_length=1)
     floor: _FloorCard | None = None
+    background: BackgroundCard | None = None
     reference: str | None = None
 
 
-class _Mark(_Strict):
+class _Mark(Strict):
     picture: str
     part: str
     point: str
@@ -119,20 +110,20 @@ def read_tracks(path: Path, card: BodyCard, pictures: tuple[str, ...]) -> tuple[
     Raises:
         InputError: ``tracks-unreadable`` (the row and the field are named), or ``part-with-few-points``.
     """
-    marks = _read_marks(path)
+    marks = read_marks(path, _Mark)
     names: dict[str, list[str]] = {part: [] for part in card.parts}
     for row, mark in enumerate(marks, start=1):
         if mark.part not in names:
-            raise _bad(path, f"mark {row} is of part {mark.part}, which the joint tree does not have", names)
+            raise bad_marks(path, f"mark {row} is of part {mark.part}, which the joint tree does not have", names)
         if mark.picture not in pictures:
-            raise _bad(path, f"mark {row} is in picture {mark.picture}, which has no camera", pictures)
+            raise bad_marks(path, f"mark {row} is in picture {mark.picture}, which has no camera", pictures)
         if mark.point not in names[mark.part]:
             names[mark.part].append(mark.point)
     tracks = {part: np.full((len(pictures), len(points), 2), np.nan) for part, points in names.items()}
     for row, mark in enumerate(marks, start=1):
         at = pictures.index(mark.picture), names[mark.part].index(mark.point)
         if np.isfinite(tracks[mark.part][at]).any():
-            raise _bad(path, f"mark {row} is the second of {mark.part}'s point {mark.point} in {mark.picture}")
+            raise bad_marks(path, f"mark {row} is the second of {mark.part}'s point {mark.point} in {mark.picture}")
         tracks[mark.part][at] = mark.u_px, mark.v_px
     return tuple(_part(name, card.parts[name], tracks[name], names[name]) for name in card.parts), names
 
@@ -161,36 +152,7 @@ def _part(name: str, card: _PartCard, uv_px: Float[np.ndarray, "picture point 2"
     return Part(name=name, parent=card.parent, kind=card.joint, uv_px=uv_px, on_floor=on_floor, length=length)
 
 
-def _read_marks(path: Path) -> list[_Mark]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        if path.suffix == ".json":
-            rows: Any = json.loads(text)
-        else:
-            reader = csv.DictReader(text.splitlines())
-            if set(reader.fieldnames or ()) != set(COLUMNS):
-                raise _bad(path, f"its columns are {', '.join(reader.fieldnames or ())}")
-            rows = list(reader)
-    except (ValueError, OSError, csv.Error) as error:
-        raise _bad(path, str(error).splitlines()[0]) from error
-    if not isinstance(rows, list):
-        raise _bad(path, "it is no list of marks")
-    marks: list[_Mark] = []
-    for number, row in enumerate(rows, start=1):
-        try:
-            marks.append(_Mark.model_validate(row))
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise _bad(path, f"mark {number}, {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    return marks
-
-
-def _bad(path: Path, what: str, known: "tuple[str, ...] | dict[str, list[str]]" = ()) -> InputError:
-    hint = f"Known are {', '.join(known)}." if known else f"Give the columns {', '.join(COLUMNS)}, a row a mark."
-    return InputError(f"{path.name} can't be read as tracks: {what}.", hint=hint, code="tracks-unreadable")
-
-
-class PictureMotion(_Strict):
+class PictureMotion(Strict):
     """Where one part is in one picture, against the reference picture."""
 
     picture: str
@@ -202,7 +164,38 @@ class PictureMotion(_Strict):
     T_world_part: list[list[float]] = Field(description="4 × 4: from the reference picture's world to this one's.")
 
 
-class JointDocument(_Strict):
+class CameraMotion(Strict):
+    """Where the camera was for one picture, as the background told it."""
+
+    picture: str
+    image_size_px: tuple[int, int]
+    T_world_cam: list[list[float]] = Field(
+        description="4 × 4: from the camera (x right, y down, z forward) to the world."
+    )
+    focal_px: float
+    principal_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float] = Field(description="OpenCV's (k1, k2, p1, p2, k3).")
+    turn_sd_deg: float = Field(description="Standard deviation of the turn: of the length of its error.")
+    shift_sd_m: float = Field(description="Standard deviation of the place, of the length of its error.")
+    focal_sd_px: float
+
+
+class CamerasDocument(Strict):
+    """All pictures' cameras, as the background told them."""
+
+    pictures: list[CameraMotion]
+    covariance: list[list[float]] = Field(
+        description="Of all cameras' unknowns, in the order camera, unknown: " + ", ".join(UNKNOWNS) + "."
+    )
+    points_m: dict[str, Three | None] = Field(description="The background's named points.")
+    found_points: int = Field(
+        description="How many points were found in the pictures beside the named ones, and believed."
+    )
+    wrong_marks: list[str] = Field(description="Named marks that were not believed, as picture/point.")
+    noise_px: float
+
+
+class JointDocument(Strict):
     """One joint's motion, place and error."""
 
     part: str
@@ -221,13 +214,28 @@ class JointDocument(_Strict):
     ambiguous: bool = Field(description="Whether a different motion explains the pictures nearly as well.")
 
 
-class ArticulatedDocument(_Strict):
+class RefusedPart(Strict):
+    """A part whose motion was not told, or that hangs on one whose motion was not."""
+
+    part: str
+    parent: str | None
+    joint: JointKind
+    code: str
+    message: str
+    hint: str
+
+
+class ArticulatedDocument(Strict):
     """The motion of an articulated body."""
 
     format: str = FORMAT
     version: int = 1
     reference: str
     joints: list[JointDocument]
+    refused: list[RefusedPart] = Field(
+        default=[], description="Parts whose motion these pictures do not tell, and why."
+    )
+    cameras: CamerasDocument | None = Field(default=None, description="Where the background told where the camera was.")
 
 
 def articulated_schema() -> dict[str, Any]:
@@ -266,6 +274,55 @@ def joint_document(
         wrong_marks=[f"{pictures[i]}/{points[k]}" for i, k in np.argwhere(wrong)],
         noise_px=motion.sigma_px, ambiguous=motion.other is not None,
     )  # fmt: skip
+
+
+def cameras_document(located: LocatedPictures, points: list[str]) -> CamerasDocument:
+    """Bring what the background told into the file's units; ``points`` names the first of its points, the others were found."""
+    width = len(UNKNOWNS)
+    pictures = []
+    for i, camera in enumerate(located.cameras):
+        block = located.covariance[width * i : width * (i + 1), width * i : width * (i + 1)]
+        K = camera.intrinsic_px
+        # The centre is −Rᵀ t: of the pose's small changes (turn, shift) only the shift moves it.
+        pictures.append(
+            CameraMotion(
+                picture=camera.name, image_size_px=camera.image_size_px, T_world_cam=camera.T_lab_cam.tolist(),
+                focal_px=float(K[0, 0]),
+                principal_px=(float(K[0, 2]), float(K[1, 2])), distortion=tuple(camera.distortion.tolist()),
+                turn_sd_deg=float(np.degrees(np.sqrt(np.trace(block[:3, :3])))),
+                shift_sd_m=float(np.sqrt(np.trace(block[3:6, 3:6]))), focal_sd_px=float(np.sqrt(block[6, 6])),
+            )
+        )  # fmt: skip
+    named = located.used[:, : len(points)]
+    marked = np.isfinite(located.uv_px[:, : len(points), 0])
+    return CamerasDocument(
+        pictures=pictures,
+        covariance=located.covariance.tolist(),
+        points_m={name: _maybe(xyz) for name, xyz in zip(points, located.xyz_m[: len(points)], strict=True)},
+        found_points=int(located.used[:, len(points) :].any(axis=0).sum()),
+        wrong_marks=[f"{located.cameras[i].name}/{points[k]}" for i, k in np.argwhere(marked & ~named)],
+        noise_px=located.sigma_px,
+    )
+
+
+def read_cameras(document: CamerasDocument) -> tuple[Camera, ...]:
+    """Give the cameras that the background told."""
+    return tuple(
+        Camera(
+            name=picture.picture,
+            image_size_px=picture.image_size_px,
+            intrinsic_px=np.array(
+                [
+                    [picture.focal_px, 0, picture.principal_px[0]],
+                    [0, picture.focal_px, picture.principal_px[1]],
+                    [0, 0, 1],
+                ]
+            ),
+            distortion=np.array(picture.distortion),
+            T_lab_cam=np.array(picture.T_world_cam),
+        )
+        for picture in document.pictures
+    )
 
 
 UNSURE_DEG = 3.0

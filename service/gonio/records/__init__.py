@@ -1,6 +1,7 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
 from gonio.records.articulated import Floor, JointKind, JointMotion, KnownLength, Part, check_pictures
+from gonio.records.background import Background, CameraHeight, Lens, LocatedPictures
 from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
     FIXED,
@@ -94,6 +95,7 @@ __all__ = [
     "SWAPPED",
     "TOO_FEW_MARKERS",
     "UNKNOWNS",
+    "Background",
     "Board",
     "BoardTrack",
     "BoardViews",
@@ -101,6 +103,7 @@ __all__ = [
     "BodyModel",
     "Calibration",
     "Camera",
+    "CameraHeight",
     "Capture",
     "CarvedPart",
     "CoordinatePrior",
@@ -132,8 +135,10 @@ __all__ = [
     "LabFrame",
     "LabPoints",
     "LabSource",
+    "Lens",
     "LensModel",
     "Level",
+    "LocatedPictures",
     "MarkerSet",
     "Markers",
     "Measure",

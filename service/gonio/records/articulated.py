@@ -56,7 +56,8 @@ class JointMotion:
     that picture to where it is in picture i, with the parent's own motion taken away. ``Ts_world_part`` includes it.
 
     ``twist_covariance`` is that of small motions ``(turn_rad, shift_m)`` of all pictures, applied after ``Ts_parent_part``
-    about ``pivot_m``, zero for the reference; it holds what the marks' noise and the parents' errors do, not the cameras'.
+    about ``pivot_m``, zero for the reference; it holds what the marks' noise and the parents' errors do, and the cameras'
+    where their covariance was given.
     ``world_twist_covariance`` is the same for ``Ts_world_part``. ``centre_m`` is the shared centre (NaN but for a
     spherical joint); ``axis`` and ``axis_point_m`` a hinge's axis and its point next to the part's middle, or the line of a
     prismatic joint (NaN otherwise). ``xyz_m`` are the points in the part's frame, ``used`` the marks that were believed,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.formats.articulated import COLUMNS
+from gonio.formats.marks import COLUMNS
 from gonio.formats.toml_calibration import write_toml_calibration
 from gonio.kernel.virtual_lab.articulated import VirtualBody
 from gonio.records import Rig

@@ -3,18 +3,58 @@
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import jsonschema
 import numpy as np
 import pytest
 
 from gonio.errors import GonioError, InputError
 from gonio.formats.articulated import articulated_schema
-from gonio.kernel.virtual_lab.articulated import BODIES, VirtualBody, virtual_body
-from gonio.pipeline.articulated import solve_folder
+from gonio.kernel.virtual_lab.articulated import BODIES, VirtualBody, virtual_background, virtual_body
+from gonio.pipeline.articulated import articulated_lines, cameras_of, solve_folder
+from gonio.records import Camera
 
 Fill = Callable[[Path, VirtualBody], None]
+Wall = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def room() -> list[Wall]:
+    """Give walls, the far ones first: a corner and two edges that span each."""
+    return [
+        (np.array([-2.5, 0, -3]), np.array([0, 0, 6.0]), np.array([0, 2.5, 0])),
+        (np.array([-2.5, 0, -3]), np.array([5.0, 0, 0]), np.array([0, 2.5, 0])),
+        (np.array([-2.5, 0, 3]), np.array([5.0, 0, 0]), np.array([0, 2.5, 0])),
+        (np.array([-2.5, 0, -3]), np.array([4.0, 0, 0]), np.array([0, 0, 6.0])),
+        (np.array([-1.2, 0, -0.9]), np.array([0.5, 0, 0.6]), np.array([0, 0.8, 0])),
+        (np.array([-1.2, 0, 0.9]), np.array([0.6, 0, -0.4]), np.array([0, 0.6, 0])),
+    ]
+
+
+def photograph(camera: Camera, walls: list[Wall], seed: int) -> np.ndarray:
+    """Photograph textured walls, each pixel what its ray meets first."""
+    width, height = camera.image_size_px
+    v, u = np.mgrid[:height, :width].astype(float)
+    K = camera.intrinsic_px
+    rays = (
+        np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1) @ camera.T_lab_cam[:3, :3].T
+    )
+    o = camera.centre_lab_m
+    picture, nearest = np.full((height, width), 128.0), np.full((height, width), np.inf)
+    for number, (corner, first, second) in enumerate(walls):
+        rng = np.random.default_rng(number)
+        texture = cv2.GaussianBlur(rng.uniform(0, 255, (400, 400)).astype(np.float32), (0, 0), 1.5)
+        texture = np.clip((texture - 128) * 4 + 128, 0, 255)
+        normal = np.cross(first, second)
+        far = ((corner - o) @ normal) / (rays @ normal)
+        hit = o + far[..., None] * rays - corner
+        a, b = hit @ first / (first @ first), hit @ second / (second @ second)
+        seen = (far > 0) & (far < nearest) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
+        shade = cv2.remap(texture, (a * 399).astype(np.float32), (b * 399).astype(np.float32), cv2.INTER_LINEAR)
+        picture, nearest = np.where(seen, shade, picture), np.where(seen, far, nearest)
+    return np.clip(picture + np.random.default_rng(seed).normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +84,96 @@ def test_tracks_may_be_json(tmp_path: Path, body: VirtualBody, fill: Fill) -> No
     marks = [{**row, "u_px": float(row["u_px"]), "v_px": float(row["v_px"])} for row in rows]
     (tmp_path / "tracks.json").write_text(json.dumps(marks))
     assert solve_folder(tmp_path).model_dump() == first.model_dump()
+
+
+BACKGROUND = """
+[background]
+image_size_px = [720, 540]
+floor_points = ["f0", "f1", "f2", "f3"]
+heights = [{{ picture = "picture 1", height_m = {height}, sd_m = 0.001 }}]
+principal_sd_px = 0
+k1_sd = 0
+"""
+
+
+def fill_background(folder: Path, body: VirtualBody, fill: Fill, noise_px: float) -> None:
+    """Put marks of the background in the place of the cameras; the first four points are the floor's."""
+    fill(folder, body)
+    (folder / "cameras.toml").unlink()
+    height = float(body.cameras[0].centre_lab_m[1])
+    without_floor = (folder / "body.toml").read_text().replace("[floor]\nnormal = [0, 2, 0]\noffset_m = 0.0\n", "")
+    (folder / "body.toml").write_text(BACKGROUND.format(height=height) + without_floor)
+    background, _ = virtual_background(body.cameras, 1, noise_px=noise_px)
+    rows = ["picture,point,u_px,v_px"]
+    for i, name in enumerate(background.pictures):
+        rows += [
+            f"{name},f{k},{float(u)!r},{float(v)!r}" for k, (u, v) in enumerate(background.uv_px[i]) if np.isfinite(u)
+        ]
+    (folder / "background.csv").write_text("\n".join(rows) + "\n")
+
+
+def test_marks_of_the_background_do_in_place_of_cameras(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
+    fill_background(tmp_path, body, fill, 0.0)
+    solved = solve_folder(tmp_path)
+    document = json.loads((tmp_path / "motion.json").read_text())
+    jsonschema.validate(document, articulated_schema())
+    for found, camera in zip(document["cameras"]["pictures"], body.cameras, strict=True):
+        np.testing.assert_allclose(found["T_world_cam"], camera.T_lab_cam, atol=1e-4)
+        assert found["focal_px"] == pytest.approx(camera.intrinsic_px[0, 0], rel=1e-4)
+        assert found["shift_sd_m"] > 0
+    for written, camera in zip(cameras_of(tmp_path, solved), body.cameras, strict=True):
+        np.testing.assert_allclose(written.intrinsic_px, camera.intrinsic_px, rtol=1e-4)
+    for joint in document["joints"]:
+        found = [picture["T_world_part"] for picture in joint["pictures"]]
+        np.testing.assert_allclose(found, body.Ts_world_part[joint["part"]], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "code"),
+    [
+        ("background.csv", "picture,point", "picture,name", "tracks-unreadable"),
+        ("background.csv", "picture 2,f0,", "picture 2,f1,", "tracks-unreadable"),
+        ("body.toml", '"f3"]', '"f99"]', "body-unreadable"),
+        ("body.toml", 'picture = "picture 1"', 'picture = "picture 9"', "body-unreadable"),
+        ("body.toml", "image_size_px = [720, 540]", "", "body-unreadable"),
+        ("body.toml", "heights = [{", "heightz = [{", "body-unreadable"),
+    ],
+)
+def test_what_is_wrong_with_a_background_is_said(
+    tmp_path: Path, body: VirtualBody, fill: Fill, file: str, old: str, new: str, code: str
+) -> None:
+    fill_background(tmp_path, body, fill, 0.3)
+    edit(tmp_path / file, old, new)
+    with pytest.raises(InputError) as error:
+        solve_folder(tmp_path)
+    assert error.value.code == code
+    assert file in error.value.message
+
+
+def test_a_part_that_is_not_told_leaves_the_others(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
+    still = replace(body.parts[1], uv_px=body.parts[0].uv_px[:, :20])  # the shoulder is stuck on the base
+    fill(tmp_path, replace(body, parts=(body.parts[0], still)))
+    document = solve_folder(tmp_path)
+    assert [joint.part for joint in document.joints] == ["base"]
+    assert [(part.part, part.code) for part in document.refused] == [("shoulder", "no-motion")]
+    assert any("no-motion" in line for line in articulated_lines(document))
+
+
+def test_the_background_is_found_in_photographs(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
+    """Photographs of a textured room: its floor is marked by hand at four places, the rest is found."""
+    fill_background(tmp_path, body, fill, 0.2)
+    marks = (tmp_path / "background.csv").read_text().splitlines()
+    by_hand = [row for row in marks if row.split(",")[1] in ("point", "f0", "f1", "f2", "f3")]
+    (tmp_path / "background.csv").write_text("\n".join(by_hand) + "\n")
+    (tmp_path / "pictures").mkdir()
+    for i, camera in enumerate(body.cameras):
+        cv2.imwrite(str(tmp_path / "pictures" / f"{camera.name}.png"), photograph(camera, room(), i))
+    document = solve_folder(tmp_path)
+    assert document.cameras is not None
+    assert document.cameras.found_points > 40
+    for found, camera in zip(document.cameras.pictures, body.cameras, strict=True):
+        off = np.linalg.norm(np.array(found.T_world_cam)[:3, 3] - camera.centre_lab_m)
+        assert off < max(4 * found.shift_sd_m, 0.02)
 
 
 def edit(path: Path, old: str, new: str, count: int = -1) -> None:

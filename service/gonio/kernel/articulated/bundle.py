@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
-from gonio.records import JointKind
+from gonio.records import UNKNOWNS, JointKind
 
 HUBER = 3.0
 """Residuals beyond this many standard deviations count linearly."""
@@ -214,3 +214,32 @@ def dense_jacobian(
     flat = by_t.reshape(pictures * points * 3, -1)
     B = twists_of(kind, motions, sights.reference)[0].reshape(6 * pictures, -1)
     return flat @ B, by_x.reshape(len(flat), -1), flat
+
+
+def camera_jacobian(
+    sights: Sights, motions: Motions, x_m: Float[np.ndarray, "1 point 3"]
+) -> Float[np.ndarray, "residual camera_unknown"]:
+    """Give the slopes of all whitened residuals of one solution by the cameras' :data:`~gonio.records.UNKNOWNS`.
+
+    Those by the lens hold to first order in the distortion; a delay does nothing to a still picture.
+    """
+    Y = motions.moved(x_m)
+    Z = ((Y - sights.o_m[:, None])[0, ..., None, :] @ sights.R_cam[:, None].swapaxes(-1, -2))[..., 0, :]
+    _, slope = whitened(sights, Y)
+    by_Z = slope[0] @ sights.R_cam[:, None].swapaxes(-1, -2)
+    by_Z[..., 2, :] = 0.0  # the floor is where it is, whatever the cameras are
+    pictures, points = sights.used.shape
+    out = np.zeros((pictures, points, 3, pictures, len(UNKNOWNS)))
+    f = sights.f_px[:, None]
+    x, y = np.moveaxis(np.nan_to_num(sights.uv_px) / f, -1, 0)
+    r2, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
+    fx, fy = f[..., 0], f[..., 1]
+    # By focal length, aspect, principal point, and the five coefficients.
+    along = [x, zero, one, zero, fx * x * r2, fx * x * r2**2, fx * 2 * x * y, fx * (r2 + 2 * x * x), fx * x * r2**3]
+    down = [y, fx * y, zero, one, fy * y * r2, fy * y * r2**2, fy * (r2 + 2 * y * y), fy * 2 * x * y, fy * y * r2**3]
+    lens = np.stack([np.stack(along, axis=-1), np.stack(down, axis=-1)], axis=-2)
+    lens *= (sights.used / sights.sigma_px)[..., None, None]
+    for i in range(pictures):
+        out[i, :, :, i, :6] = np.concatenate([-by_Z[i] @ cross(Z[i]), by_Z[i]], axis=-1)
+        out[i, :, :2, i, 6:15] = lens[i]
+    return out.reshape(pictures * points * 3, -1)

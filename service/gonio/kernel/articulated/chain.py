@@ -5,20 +5,20 @@ same as a camera ``G_i⁻¹ C_i`` that sees the child move by its own joint alon
 (eq. 20): for the part itself, with its whole motion, it sees a part that stands still.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from gonio.errors import InputError
-from gonio.kernel.articulated.bundle import Sights, dense_jacobian, whitened
+from gonio.kernel.articulated.bundle import Sights, camera_jacobian, dense_jacobian, whitened
 from gonio.kernel.articulated.joint import Solution, solve
 from gonio.kernel.articulated.motion import Motions, across, cross, twists_of
 from gonio.kernel.articulated.observability import twist_covariance
 from gonio.kernel.articulated.starts import middle_rays, nearest_to_rays
 from gonio.kernel.geometry.cameras import undistort
 from gonio.kernel.geometry.transforms import inverse, transform
-from gonio.records import Camera, Floor, JointKind, JointMotion, Part, check_pictures
+from gonio.records import UNKNOWNS, Camera, Floor, JointKind, JointMotion, Part, check_pictures
 
 FLOOR_SD_M = 1e-3
 """How well a point that stands on the floor lies in its plane."""
@@ -67,6 +67,7 @@ def solve_body(
     reference: int = 0,
     expected_noise_px: float = 1.0,
     seed: int = 0,
+    camera_covariance: Float[np.ndarray, "camera_unknown camera_unknown"] | None = None,
 ) -> tuple[JointMotion, ...]:
     """Find the motion of all joints from the marks in the pictures.
 
@@ -77,6 +78,8 @@ def solve_body(
         reference: The picture in which every part's frame is the world's.
         expected_noise_px: A first idea of the marks' noise; the result tells its own.
         seed: Of the random starts.
+        camera_covariance: That of all cameras' :data:`~gonio.records.UNKNOWNS`, in the order camera, unknown: the result's
+            error bars hold what it does. Without it the cameras are taken as exact.
 
     Raises:
         InputError: The body is not what the pictures show (see :func:`gonio.records.check_pictures`).
@@ -84,6 +87,8 @@ def solve_body(
     """
     check_pictures(cameras, parts)
     solved: dict[str, JointMotion] = {}
+    errors: dict[str, _Errors] = {}
+    of_cameras = np.zeros((len(UNKNOWNS) * len(cameras),) * 2) if camera_covariance is None else camera_covariance
     for part in in_tree_order(parts):
         if floor is None and (part.on_floor.any() or part.kind == "planar"):
             raise InputError(
@@ -103,7 +108,8 @@ def solve_body(
         solution = solve(part.kind, sights, part.name, scale_known=part.length is not None, seed=seed)
         if part.length is not None:
             solution = _scaled(solution, part)
-        solved[part.name] = _packed(part, solution, pivot, parent, Gs)
+        errors[part.name] = _errors(solution, pivot, errors[part.parent] if part.parent else None, Gs)
+        solved[part.name] = _packed(part, solution, pivot, errors[part.name], of_cameras, Gs)
     return tuple(solved.values())
 
 
@@ -152,8 +158,11 @@ def _scaled(solution: Solution, part: Part) -> Solution:
     H = both.T @ both + np.diag(np.concatenate([np.zeros(J.shape[1]), np.repeat(unused * 1.0, 3)]))
     H_inverse = np.linalg.inv(H)
     m_count = J.shape[1]
-    by_twist = -(H_inverse @ both[:-1].T @ Jt)[:m_count]
-    found = replace(solution.found, covariance=H_inverse[:m_count, :m_count], by_twist=by_twist)
+    gain = -(H_inverse @ both[:-1].T)[:m_count]
+    found = replace(
+        solution.found, covariance=H_inverse[:m_count, :m_count], by_twist=gain @ Jt,
+        by_camera=gain @ camera_jacobian(s, motions, x_m),
+    )  # fmt: skip
     return replace(solution, motions=motions, x_m=x_m, found=found)
 
 
@@ -167,27 +176,45 @@ def _world_to_local(G: Float[np.ndarray, "4 4"], pivot: Float[np.ndarray, "3"]) 
     return M
 
 
-def _covariances(
-    solution: Solution,
-    pivot: Float[np.ndarray, "3"],
-    parent: JointMotion | None,
-    Gs: Float[np.ndarray, "picture 4 4"],
-) -> tuple[Float[np.ndarray, "unknown unknown"], Float[np.ndarray, "twist twist"]]:
-    """Give the covariance of the joint's unknowns and that of the part's twists in the world, with the parent's errors."""
+@dataclass(frozen=True)
+class _Errors:
+    """What makes a part's motion uncertain: the marks' noise, as covariances, and the cameras, as slopes.
+
+    The cameras are the same for all parts, so that their errors add up along a chain with their signs.
+    """
+
+    own: Float[np.ndarray, "unknown unknown"]
+    own_by_camera: Float[np.ndarray, "unknown camera_unknown"]
+    world: Float[np.ndarray, "twist twist"]
+    world_by_camera: Float[np.ndarray, "twist camera_unknown"]
+
+
+def _errors(
+    solution: Solution, pivot: Float[np.ndarray, "3"], parent: _Errors | None, Gs: Float[np.ndarray, "picture 4 4"]
+) -> _Errors:
+    """Carry the parent's errors on to the joint's unknowns and to the part's twists in the world."""
     kind, motions, r = solution.kind, solution.motions, solution.sights.reference
     pictures = len(Gs)
     M = np.zeros((6 * pictures, 6 * pictures))
     for i in range(pictures):
         M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = _world_to_local(Gs[i], pivot)
     back = np.linalg.inv(M)
-    own = back @ twist_covariance(kind, motions, r, solution.found.covariance) @ back.T
+    own, world = (
+        solution.found.covariance,
+        back @ twist_covariance(kind, motions, r, solution.found.covariance) @ back.T,
+    )
+    outward = back @ _twists(kind, motions, r)
     if parent is None:
-        return solution.found.covariance, own
-    above = parent.world_twist_covariance
+        return _Errors(own, solution.found.by_camera, world, outward @ solution.found.by_camera)
     follow = solution.found.by_twist @ M
-    B = _twists(kind, motions, r)
-    whole = np.eye(6 * pictures) + back @ B @ follow
-    return solution.found.covariance + follow @ above @ follow.T, own + whole @ above @ whole.T
+    whole = np.eye(6 * pictures) + outward @ follow
+    own_by_camera = solution.found.by_camera + follow @ parent.world_by_camera
+    return _Errors(
+        own + follow @ parent.world @ follow.T,
+        own_by_camera,
+        world + whole @ parent.world @ whole.T,
+        parent.world_by_camera + outward @ own_by_camera,
+    )
 
 
 def _twists(kind: JointKind, motions: Motions, reference: int) -> Float[np.ndarray, "twist unknown"]:
@@ -202,10 +229,12 @@ def _packed(
     part: Part,
     solution: Solution,
     pivot: Float[np.ndarray, "3"],
-    parent: JointMotion | None,
+    errors: _Errors,
+    of_cameras: Float[np.ndarray, "camera_unknown camera_unknown"],
     Gs: Float[np.ndarray, "picture 4 4"],
 ) -> JointMotion:
-    covariance, world = _covariances(solution, pivot, parent, Gs)
+    covariance = errors.own + errors.own_by_camera @ of_cameras @ errors.own_by_camera.T
+    world = errors.world + errors.world_by_camera @ of_cameras @ errors.world_by_camera.T
     kind, motions = solution.kind, solution.motions
     Ts = _unshifted(motions, pivot)
     missing, unknown = np.full(3, np.nan), np.full((3, 3), np.nan)

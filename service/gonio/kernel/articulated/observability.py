@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gonio.errors import CaptureError
-from gonio.kernel.articulated.bundle import Sights, dense_jacobian
+from gonio.kernel.articulated.bundle import Sights, camera_jacobian, dense_jacobian
 from gonio.kernel.articulated.motion import Motions, twists_of
 from gonio.records import JointKind
 
@@ -64,18 +64,23 @@ REFUSALS = {
 
 
 def refuse(code: str, part: str) -> CaptureError:
-    """Make the error by its code."""
+    """Make the error by its code; its details name the part."""
     reason, remedy = REFUSALS[code]
-    return CaptureError(f"Part {part}: {reason}.", hint=remedy, code=code)
+    return CaptureError(f"Part {part}: {reason}.", hint=remedy, code=code, part=part)
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """The covariance of the joint's unknowns by the marks' noise, and how they follow twists given from outside."""
+    """The covariance of the joint's unknowns by the marks' noise, and how they follow what is given from outside.
+
+    ``by_twist`` is by a twist of each picture that is applied to the part from outside, ``by_camera`` by the cameras' own
+    unknowns, in the order camera, :data:`~gonio.records.UNKNOWNS`.
+    """
 
     covariance: Float[np.ndarray, "unknown unknown"]
     points_covariance_m2: Float[np.ndarray, "point 3 3"]
     by_twist: Float[np.ndarray, "unknown twist"]
+    by_camera: Float[np.ndarray, "unknown camera_unknown"]
 
 
 def sensitivity(kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np.ndarray, "1 point 3"]) -> Sensitivity:
@@ -88,7 +93,8 @@ def sensitivity(kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np
     inverse = (vectors / values) @ vectors.T
     m = J.shape[1]
     points = np.stack([inverse[m + 3 * k : m + 3 * k + 3, m + 3 * k : m + 3 * k + 3] for k in range(x_m.shape[1])])
-    return Sensitivity(inverse[:m, :m], points, -(inverse @ both.T @ Jt)[:m])
+    gain = -(inverse @ both.T)[:m]
+    return Sensitivity(inverse[:m, :m], points, gain @ Jt, gain @ camera_jacobian(sights, motions, x_m))
 
 
 def check_moving_camera(kind: JointKind, sights: Sights, part: str) -> None:

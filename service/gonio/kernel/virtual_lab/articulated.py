@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gonio.kernel.geometry.cameras import project
 from gonio.kernel.geometry.transforms import inverse, transform
-from gonio.records import Camera, Floor, JointKind, Part
+from gonio.records import Background, Camera, CameraHeight, Floor, JointKind, Lens, Part
 
 
 @dataclass(frozen=True)
@@ -136,3 +136,42 @@ def _motion(rng: np.random.Generator, shape: Shape, turn_rad: tuple[float, float
 def relative_to(Ts: Float[np.ndarray, "picture 4 4"], reference: int) -> Float[np.ndarray, "picture 4 4"]:
     """Express motions against another reference picture."""
     return Ts @ inverse(Ts[reference])
+
+
+def virtual_background(
+    cameras: tuple[Camera, ...],
+    seed: int,
+    *,
+    points: int = 40,
+    noise_px: float = 0.3,
+    wrong: float = 0.0,
+    principal_sd_px: float = 0.0,
+    focal_known: bool = False,
+) -> tuple[Background, Float[np.ndarray, "point 3"]]:
+    """Mark what stands still around a virtual body: four points of the floor, the others anywhere around; gives the truth too.
+
+    The first two points of the floor are the origin and a place along X; the first camera's height is the measure. A share
+    ``wrong`` of the marks is 30 px off. What lies outside the picture or behind the camera is not seen.
+    """
+    rng = np.random.default_rng(seed + 100_000)
+    X = rng.uniform([-1.5, 0.0, -1.2], [0.5, 1.3, 1.2], (points, 3))
+    X[:4] = [[0, 0, 0], [0.5, 0, 0], [0.1, 0, 0.5], [0.1, 0, -0.4]]
+    size = cameras[0].image_size_px
+    uv = np.stack([project(camera, X) for camera in cameras])
+    uv += rng.normal(0, noise_px, uv.shape) if noise_px else 0.0
+    bad = rng.random(uv.shape[:2]) < wrong
+    bad[:, :4] = False
+    uv[bad] += 30.0 * rng.choice([-1.0, 1.0], uv.shape)[bad]
+    uv[~((uv > -0.5) & (uv < np.array(size) - 0.5)).all(axis=-1)] = np.nan
+    lens = Lens(
+        image_size_px=size,
+        focal_px=np.array([c.intrinsic_px[0, 0] if focal_known else np.nan for c in cameras]),
+        focal_sd_px=0.0,
+        principal_px=(np.array(size) - 1) / 2,
+        principal_sd_px=principal_sd_px,
+        distortion=np.zeros(5),
+        k1_sd=0.0,
+    )
+    height = CameraHeight(picture=0, height_m=float(cameras[0].centre_lab_m[1]), sd_m=1e-3)
+    names = tuple(camera.name for camera in cameras)
+    return Background(pictures=names, uv_px=uv, lens=lens, floor_points=(0, 1, 2, 3), heights=(height,)), X
