@@ -136,14 +136,19 @@ def test_keys_are_made_rotated_and_revoked_over_http(labs):
     assert httpx.get(sessions, headers=bearer(made["key"])).status_code == 200
     url = f"{keys}/{made['id']}"
     rotated = httpx.post(f"{url}/rotate", params={"grace_hours": 1}, headers=bearer(chief)).json()
-    assert rotated["scopes"] == made["scopes"]
+    assert (rotated["scopes"], rotated["expires_at"]) == (made["scopes"], None)
+    short = httpx.post(
+        keys, json={"name": "guest", "scopes": ["read"], "lifetime_days": 1}, headers=bearer(chief)
+    ).json()
+    again = httpx.post(f"{keys}/{short['id']}/rotate", headers=bearer(chief)).json()
+    assert again["expires_at"] is not None  # or whoever has a key for a day would have one for ever
     for key in (made["key"], rotated["key"]):  # both are valid in the time of grace
         assert httpx.get(sessions, headers=bearer(key)).status_code == 200
     assert httpx.delete(url, headers=bearer(chief)).status_code == 204
     assert answer(httpx.get(sessions, headers=bearer(made["key"]))) == (401, "key-invalid")
     assert answer(httpx.post(f"{url}/rotate", headers=bearer(chief))) == (409, "key-expired")
     shown = {key["id"]: key for key in httpx.get(keys, headers=bearer(chief)).json()["items"]}
-    assert len(shown) == 3
+    assert len(shown) == 5
     assert shown[made["id"]]["last_used_at"] is not None
     assert "key" not in shown[made["id"]]
 
@@ -209,6 +214,10 @@ def test_without_keys_only_the_machine_itself_gets_in(start_lab):
     for headers in ({"X-Forwarded-For": "10.0.0.7"}, {"Via": "1.1 proxy"}, {"Host": "evil.example"}):
         assert answer(httpx.get(url, headers=headers)) == (401, "key-missing"), headers
     assert answer(httpx.post(url, json={}, headers={"Sec-Fetch-Site": "cross-site"})) == (403, "foreign-page")
+    # What a browser says that is too old for Sec-Fetch-Site.
+    for origin in ("https://elsewhere.example", "null"):
+        assert answer(httpx.post(url, json={}, headers={"Origin": origin})) == (403, "foreign-page")
+    assert httpx.post(url, json={}, headers={"Origin": lab.url}).status_code == 422
     key = make_key(lab.settings, "first")
     assert answer(httpx.get(url)) == (401, "key-missing")
     with opened(lab.settings) as access:

@@ -255,6 +255,17 @@ def test_the_client_gives_up_at_once_what_no_patience_mends(tmp_path, monkeypatc
     assert caught.value.code == "quota-exceeded"
 
 
+def test_what_is_announced_counts_against_the_quota(start_lab, capture):
+    """Or a lab could begin any number of uploads, each below its quota, and fill the disk of all."""
+    lab = start_lab(workers=0, lab_quota_bytes=1_000_000)
+    session = lab.client.create_session()["id"]
+    url = begin(lab, session, b"x" * 600_000, "a.mp4")
+    assert refusal(create(lab, session, 600_000, filename="b.mp4")) == (507, "quota-exceeded")
+    assert lab.http.delete(url, headers=TUS).status_code == 204
+    assert create(lab, session, 600_000, filename="b.mp4").status_code == 201
+    lab.client.upload(session, capture / "cam01.mp4")  # a form: what is kept counts, and this is little
+
+
 @pytest.mark.slow
 def test_uploads_that_are_cut_at_random_go_on_while_the_server_is_killed(start_lab, tmp_path, capture):
     """A sample of what `gonio bench service` does a hundred times."""

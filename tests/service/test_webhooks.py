@@ -3,13 +3,16 @@
 import hashlib
 import hmac
 import json
+import socket
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from uuid import uuid4
 
+import httpx
 import pytest
 
+import gonio.jobs.webhooks
 from gonio.errors import InputError
 from gonio.jobs.database import Database, upgrade
 from gonio.jobs.repository import Repository
@@ -130,12 +133,71 @@ def test_only_the_own_lab_is_told_and_a_dead_address_is_given_up(database, ear):
         "file:///etc/passwd",
         "https://",
         "https://no-such-machine.invalid/",
+        "https://[::ffff:10.0.0.1]/",
+        "https://[::10.0.0.1]/",
+        "https://[64:ff9b::10.0.0.1]/",
+        "https://[2002:a00:1::]/",
+        "https://224.0.0.1/",
     ],
 )
 def test_a_webhook_leads_nowhere_private(database, url):
     with pytest.raises(InputError) as caught:
         Webhooks(database, allow_private=False).create("north", url)
     assert caught.value.code == "webhook-address-wrong"
+
+
+def test_a_message_goes_to_the_machine_that_was_checked(database, monkeypatch):
+    """A name whose address changes between the check and the sending leads nowhere private."""
+    asked: list[str] = []
+
+    def resolve(host, port, **_):
+        asked.append(host)
+        address = "93.184.215.14" if host == "hook.example" else host
+        return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, port))]
+
+    sent: list[httpx.Request] = []
+
+    async def take(_self, request: httpx.Request) -> httpx.Response:
+        sent.append(request)
+        return httpx.Response(204)
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolve)
+    monkeypatch.setattr(httpx.AsyncHTTPTransport, "handle_async_request", take)
+    webhooks = Webhooks(database, allow_private=False)
+    webhooks.create("north", "https://hook.example:8443/a?b=c")
+    end_a_job(database, "north")
+    webhooks.send_due()
+    (request,) = sent
+    assert str(request.url) == "https://93.184.215.14:8443/a?b=c"
+    assert request.headers["host"] == "hook.example:8443"
+    assert request.extensions["sni_hostname"] == "hook.example"
+    assert asked == ["hook.example"] * 2  # when it was made, and before it was told
+
+
+def test_a_program_that_answers_a_byte_at_a_time_holds_nobody_up(database, ear, monkeypatch):
+    monkeypatch.setattr(gonio.jobs.webhooks, "TIMEOUT_S", 1.0)
+    over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def trickle() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.sendall(b"HTTP/1.1 200 OK\r\nX-Slow: ")
+                while not over.wait(0.2):
+                    connection.sendall(b"x")
+
+        slow = threading.Thread(target=trickle)
+        slow.start()
+        webhooks = Webhooks(database, allow_private=True)
+        hook = webhooks.create("north", f"http://127.0.0.1:{listener.getsockname()[1]}/")
+        webhooks.create("south", ear.url)
+        end_a_job(database, "north")
+        end_a_job(database, "south")
+        assert webhooks.send_due() == 2
+        over.set()
+        slow.join()
+    assert len(ear.heard) == 1
+    assert webhooks.deliveries("north", hook.id, 1)[0].answer == "TimeoutError"
 
 
 def test_webhooks_over_http(lab, ear, capture, journal):

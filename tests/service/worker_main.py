@@ -46,9 +46,15 @@ class Course:
 
     def spend(self, seconds: float, progress: Progress) -> None:
         begin_s = time.monotonic()
-        while (elapsed_s := time.monotonic() - begin_s) < seconds:
-            progress(elapsed_s / seconds)
-            time.sleep(0.02)
+        fraction = 0.0
+        try:
+            while fraction < 1:
+                progress(fraction)
+                time.sleep(0.02)
+                fraction = (time.monotonic() - begin_s) / seconds if seconds else 1.0
+        except BaseException:
+            self.note(f"stopped at {fraction:.3f}")
+            raise
 
     def misbehave(self, stage: str) -> None:
         match self.parameters.get("fault", {}).get(stage):

@@ -109,6 +109,7 @@ def _measure(bench: Bench, kind: str, house: House, capture: list[Path], share: 
     seen = load(house, capture, house.folder, LOAD_S, POLLERS, dice)
     bench.add(f"{kind}: polls", len(seen.poll_s), "")
     bench.add(f"{kind}: poll, 99th percentile", 1000 * p99_s(seen.poll_s), "ms")
+    bench.add(f"{kind}: the same before the uploads", 1000 * p99_s(seen.quiet_poll_s), "ms")
     bench.add(f"{kind}: upload throughput over copy and hash", seen.share_of_copy, "")
     bench.add(f"{kind}: errors under load", seen.errors, "", at_most=0)
 

@@ -18,7 +18,9 @@ from typing import Any
 from gonio.client import Client, Document
 from gonio.errors import GonioError, InputError
 from gonio.jobs.access import SCOPES, opened
+from gonio.jobs.database import Database
 from gonio.jobs.queue import Queue
+from gonio.jobs.repository import active_job_of_any_lab
 from gonio.settings import Settings
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "tests" / "service"
@@ -104,6 +106,15 @@ class House:
         finally:
             queue.close()
 
+    def has_ended(self, job: str) -> bool:
+        """Tell whether a job has ended; its worker may have been killed before it could record that step."""
+        database = Database(self.settings.resolved_database_url)
+        try:
+            with database.read() as session:
+                return active_job_of_any_lab(session, job) is None
+        finally:
+            database.close()
+
     def _run(self, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[str]:
         with (self.folder / "log").open("a") as log:
             return subprocess.Popen(  # noqa: S603 - our own command
@@ -184,11 +195,12 @@ def _look_after(house: House, job: str, journal: Path, victim: str, result: Kill
     done, known = house.recorded_steps(job), len(_lines(journal))
     last = _lines(journal)[-1].rsplit(" ", 1)[0]
     result.stages[last] = result.stages.get(last, 0) + 1
-    if victim in ("api", "supervisor") or "publish" in done:
+    ended = house.has_ended(job)
+    if victim in ("api", "supervisor") or ended:
         house.restart(victim)
-    if victim == "api" or "publish" in done:  # nobody lost the job
+    if victim == "api" or ended:  # nobody lost the job
         return
-    wait_for(lambda: len(_lines(journal)) > known or "publish" in house.recorded_steps(job), READY_S)
+    wait_for(lambda: len(_lines(journal)) > known or house.has_ended(job), READY_S)
     result.takeover_s.append(time.monotonic() - killed_s)
     if victim == "worker and api":
         house.restart(victim)

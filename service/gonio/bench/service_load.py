@@ -78,6 +78,7 @@ class Load:
     """What many clients at once meet."""
 
     poll_s: list[float] = field(default_factory=list)
+    quiet_poll_s: list[float] = field(default_factory=list)
     errors: int = 0
     uploaded_bytes: int = 0
     upload_s: float = 0.0
@@ -133,7 +134,10 @@ class _Crowd:
 
 
 def load(house: House, capture: list[Path], folder: Path, seconds: float, pollers: int, dice: random.Random) -> Load:
-    """Have clients poll a job each second, four uploads run and two jobs compute, for a while."""
+    """Have clients poll a job each second, four uploads run and two jobs compute, for a while.
+
+    Before the uploads begin, the same clients poll for a quarter of that time: what their number alone costs.
+    """
     result = Load()
     path, journal = folder / "load.mp4", folder / "journal-load"
     path.write_bytes(grown(capture[-1], 50_000_000, dice))
@@ -143,6 +147,9 @@ def load(house: House, capture: list[Path], folder: Path, seconds: float, poller
         session = _session_of(client, capture)
         wanted = [{"journal": str(journal), "seconds": 3 * seconds + number} for number in range(2)]
         jobs = [client.analyse(session, parameters)["id"] for parameters in wanted]
+        quiet = _Crowd(house, session, jobs[0], path, time.monotonic() + seconds / 4, result)
+        _together([threading.Thread(target=quiet.poll) for _ in range(pollers)])
+        result.quiet_poll_s, result.poll_s = result.poll_s, []
         begin_s = time.monotonic()
         crowd = _Crowd(house, session, jobs[0], path, begin_s + seconds, result)
         senders = [threading.Thread(target=crowd.upload) for _ in range(4)]
@@ -158,6 +165,13 @@ def load(house: House, capture: list[Path], folder: Path, seconds: float, poller
             client.cancel(job)
     path.unlink()
     return result
+
+
+def _together(threads: list[threading.Thread]) -> None:
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
 
 
 def _session_of(client: Client, capture: list[Path]) -> str:

@@ -5,6 +5,7 @@ import binascii
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Annotated
+from urllib.parse import urlsplit
 from uuid import UUID
 
 from fastapi import Depends, Path, Query, Response
@@ -19,12 +20,14 @@ from gonio.jobs.service import Service
 from gonio.jobs.tables import Row
 from gonio.settings import Settings, is_loopback
 
+# Those that wait for nothing are coroutines: a plain function would cost each request a thread and two changes to it.
 
-def _service(request: Request) -> Service:
+
+async def _service(request: Request) -> Service:
     return request.app.state.service
 
 
-def _settings(request: Request) -> Settings:
+async def _settings(request: Request) -> Settings:
     return request.app.state.settings
 
 
@@ -99,7 +102,11 @@ def refuse_foreign_pages(request: Request) -> None:
     Raises:
         InputError: ``foreign-page``.
     """
-    if request.headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+    site, origin = request.headers.get("sec-fetch-site"), request.headers.get("origin")
+    foreign = site not in ("same-origin", "none")
+    if site is None:  # no browser, or one from before 2023, whose pages give at least their origin
+        foreign = origin is not None and urlsplit(origin).netloc != request.headers.get("host")
+    if foreign:
         raise InputError(
             "A page of another site sent this request.", hint="Use a client of your own.", code="foreign-page"
         )
@@ -127,7 +134,7 @@ def _allowed(caller: Caller, scope: Scope) -> Caller:
     return caller
 
 
-def _caller(request: Request, caller: _KnownCaller) -> Caller:
+async def _caller(request: Request, caller: _KnownCaller) -> Caller:
     """Refuse who may not do what the method does."""
     return _allowed(caller, "write" if _changes(request) else "read")
 
@@ -136,7 +143,7 @@ TheCaller = Annotated[Caller, Depends(_caller)]
 """Who asks. Every route that reads or writes anything asks for it, or for the lab alone."""
 
 
-def _writer(caller: _KnownCaller) -> Caller:
+async def _writer(caller: _KnownCaller) -> Caller:
     return _allowed(caller, "write")
 
 
@@ -144,14 +151,14 @@ Writer = Annotated[Caller, Depends(_writer)]
 """Who asks, for a route that belongs to writing whatever its method is."""
 
 
-def _administrator(caller: TheCaller) -> Caller:
+async def _administrator(caller: TheCaller) -> Caller:
     return _allowed(caller, "admin")
 
 
 Administrator = Annotated[Caller, Depends(_administrator)]
 
 
-def _current_lab(caller: TheCaller) -> str:
+async def _current_lab(caller: TheCaller) -> str:
     return caller.lab
 
 

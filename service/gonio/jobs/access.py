@@ -100,7 +100,7 @@ class Access:
         return NewKey(row, secret)
 
     def rotate_key(self, lab: str, key_id: str, grace: timedelta) -> NewKey:
-        """Make a key like this one, which itself stays valid for the ``grace``.
+        """Make a key like this one, with as long a life; the old one itself stays valid for the ``grace``.
 
         Raises:
             InputError: ``not-found``, or ``key-expired`` if there is nothing left to replace.
@@ -109,7 +109,8 @@ class Access:
             old = Repository(session, lab).key(key_id)
         if old.expires_at is not None and old.expires_at <= now():
             raise InputError("The key is not valid any more.", hint="Make a new one.", code="key-expired")
-        new = self.create_key(lab, old.name, [scope for scope in SCOPES if scope in old.scopes])
+        lifetime = None if old.expires_at is None else old.expires_at - old.created_at
+        new = self.create_key(lab, old.name, [scope for scope in SCOPES if scope in old.scopes], lifetime)
         self._end(lab, key_id, grace)
         return new
 

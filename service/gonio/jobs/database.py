@@ -42,7 +42,8 @@ class Database:
         if self._is_postgres:
             self.engine = sa.create_engine(with_driver(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
         else:
-            self.engine = sa.create_engine(url)
+            # As many as the API has threads: one more would be opened and configured for each request anew.
+            self.engine = sa.create_engine(url, pool_size=40)
             event.listen(self.engine, "connect", _configure_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._writing = self.engine.execution_options(begin="IMMEDIATE")
@@ -64,6 +65,20 @@ class Database:
             if self._is_postgres and lab is not None:
                 session.execute(sa.select(sa.func.pg_advisory_xact_lock(lock_key(f"lab {lab}"))))
             yield session
+
+    def scrub(self) -> None:
+        """Have the database hold no byte any more of what was deleted: SQLite only marks its pages as free, and keeps a log.
+
+        PostgreSQL does so by itself, in its own time (autovacuum).
+        """
+        if self._is_postgres:
+            return
+        with self.engine.connect().execution_options(begin="DEFERRED") as connection:
+            raw = connection.connection.dbapi_connection
+            assert raw is not None
+            connection.rollback()
+            raw.execute("VACUUM")
+            raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def close(self) -> None:
         """Close all connections."""

@@ -101,6 +101,12 @@ class PartialUploads:
             raise InputError("There is no such upload.", hint="Begin it again: it may have expired.", code="not-found")
         return upload
 
+    def announced(self, lab: str) -> int:
+        """Tell how many bytes a lab's uploads will have that aren't whole yet: they count, or a quota could be passed."""
+        texts = [text for folder in self._folder.iterdir() if (text := _text(folder / _RECORD))]
+        uploads = [Upload(**json.loads(text)) for text in texts]
+        return sum(upload.length for upload in uploads if upload.lab == lab and upload.file_id is None)
+
     def offset(self, upload: Upload) -> int:
         """Tell how many bytes are safely there."""
         if upload.file_id:

@@ -168,11 +168,14 @@ class Service:
         """
         with self._database.read() as session:
             erasures = erasures_of_all_labs_to_do(session)
+        settled = [erasure for erasure in erasures if erasure.created_at < now() - SETTLED]
         for erasure in erasures:
             self._erase(erasure)
-            if erasure.created_at < now() - SETTLED:
-                with self._database.write(erasure.lab) as session:
-                    session.merge(erasure).done_at = now()
+        if settled:
+            self._database.scrub()
+        for erasure in settled:
+            with self._database.write(erasure.lab) as session:
+                session.merge(erasure).done_at = now()
 
     def erasures(self, lab: str, limit: int, after: Place | None = None) -> Sequence[ErasureRow]:
         """List deletions of sessions, newest first."""
@@ -196,7 +199,7 @@ class Service:
         with self._reading(lab) as repository:
             kind = repository.session(session_id).kind
             check_role(role or guess_role(name, kind), name, kind, camera)
-            self._check_quota(repository, length)
+            self._check_quota(repository, length + self.uploads.announced(lab) if self._quota_bytes else 0)
         return self.uploads.create(lab, session_id, name, role, camera, length)
 
     def finish_upload(self, lab: str, upload: Upload) -> Upload:

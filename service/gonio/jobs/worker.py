@@ -35,6 +35,8 @@ log = logging.getLogger("gonio.jobs.worker")  # by name: run as a module, this o
 
 POLL_S = 0.5
 """How long a queued job waits at most for an idle worker."""
+NICENESS = 5
+"""By how much a worker lets others go first: minutes of computing can wait for a request of milliseconds."""
 SWEEP_S = 1.0
 """How often a worker looks for dead ones."""
 MAX_TAKEOVERS = 3
@@ -303,6 +305,8 @@ def main() -> None:
     from gonio.pipeline.rivers import RIVERS
 
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
+    if sys.platform != "win32":
+        os.nice(NICENESS)
     run_worker(settings, RIVERS, supervisor_pid=int(supervisor) if supervisor else None)
 
 
