@@ -56,7 +56,7 @@ export const api = {
   caller: () => json<Caller>("GET", "/v1/caller"),
   signIn: (key: string) => ask("POST", "/sign-in", { key }),
   signOut: () => ask("POST", "/sign-out"),
-  sessions: () => all<Session>("/v1/sessions"),
+  sessions: (subject?: string) => all<Session>(subject === undefined ? "/v1/sessions" : `/v1/sessions?subject=${encodeURIComponent(subject)}`),
   session: (id: string) => json<Session>("GET", `/v1/sessions/${id}`),
   createSession: (values: { kind: string; name: string; subject: Subject; calibration: string | null }) =>
     json<Session>("POST", "/v1/sessions", values),

@@ -75,13 +75,14 @@ export function TimeCurves({ report, clock }: { report: Report; clock: Clock }) 
 }
 
 /** The mean curves over the gait cycle, beside healthy people and, if there is one, another trial. */
-export function CycleCurves({ report, clock, other }: { report: Report; clock: Clock; other: Report | null }) {
+export function CycleCurves({ report, clock, other, only }: { report: Report; clock: Clock; other: Report | null; only?: Side }) {
+  const shown = only ? [only] : SIDES;
   const start = report.time_s[0] ?? 0;
   const first = (side: Side) => report.gait.cycles.find((cycle) => cycle.side === side && !cycle.left_out);
   const quantities = [...new Set(report.gait.curves.map((curve) => curve.quantity))].sort((a, b) => rank(a) - rank(b));
   const charts = quantities.map((quantity): Chart => {
     const of = (from: Report, side: Side) => from.gait.curves.find((curve) => curve.quantity === quantity && curve.side === side);
-    const sides = SIDES.map((side) => of(report, side)).filter((curve): curve is CycleCurve => curve !== undefined);
+    const sides = shown.map((side) => of(report, side)).filter((curve): curve is CycleCurve => curve !== undefined);
     const norm = sides[0]?.norm;
     return {
       title: `${sides[0]?.name}, ${sides[0]?.unit === "deg" ? "degrees" : sides[0]?.unit} (${sides[0]?.positive} positive)`,
@@ -95,9 +96,11 @@ export function CycleCurves({ report, clock, other }: { report: Report; clock: C
       extra: [
         ...(norm ? [{ label: "healthy, mean ± SD", low: add(norm.mean, norm.sd, -1), middle: null, high: add(norm.mean, norm.sd, 1), colour: "#9a9a9a", fill: "#9a9a9a44" }] : []),
         ...(other
-          ? SIDES.flatMap((side) => {
+          ? shown.flatMap((side) => {
               const curve = of(other, side);
-              return curve ? [{ label: `${side}, other trial`, low: curve.mean, middle: curve.mean, high: curve.mean, colour: COLOURS[side], fill: "transparent", dash: [2, 4] }] : [];
+              const half = curve?.error_sd.map((sd) => (sd === null ? 0 : BAND_SD * sd)) ?? [];
+              const [low, high] = curve ? [add(curve.mean, half, -1), add(curve.mean, half, 1)] : [[], []];
+              return curve ? [{ label: `${side}, other trial`, low, middle: curve.mean, high, colour: COLOURS[side], fill: `${COLOURS[side]}14`, dash: [2, 4] }] : [];
             })
           : []),
       ],
@@ -110,7 +113,7 @@ export function CycleCurves({ report, clock, other }: { report: Report; clock: C
   return (
     <div class="curves">
       {charts.map((chart) => (
-        <Plot key={chart.title} chart={chart} clock={clock} toTime={toTime} fromTime={fromTime} events={[]} />
+        <Plot key={`${chart.title} ${only}`} chart={chart} clock={clock} toTime={toTime} fromTime={fromTime} events={[]} />
       ))}
     </div>
   );
@@ -172,11 +175,12 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
     plot.over.append(line);
     // The clock moves an element over the plot: to draw all curves again for each moment would take too long.
     const placeLine = () => {
+      if (!told.current) return; // uPlot tells of its size a little later, maybe after the page has gone
       const cursor = fromTime(clock.time_s.peek());
       const left = cursor === null ? -1 : plot.valToPos(cursor, "x");
       line.hidden = left < 0 || left > plot.over.clientWidth;
       line.style.transform = `translateX(${left}px)`;
-      told.current!.textContent = cursor === null ? "" : tell(chart, cursor);
+      told.current.textContent = cursor === null ? "" : tell(chart, cursor);
     };
     const stopLine = effect(() => {
       void clock.time_s.value;
