@@ -101,7 +101,10 @@ class Client:
         subject: Mapping[str, float | str] | None = None,
         calibration: str | None = None,
     ) -> Document:
-        """Create a session; ``subject`` may hold ``mass_kg``, ``stature_m`` and ``sex``, ``calibration`` is an id."""
+        """Create a session.
+
+        ``subject`` may hold ``code``, ``mass_kg``, ``stature_m`` and ``sex``; ``calibration`` is an id.
+        """
         body = {"kind": kind, "name": name, "subject": dict(subject or {}), "calibration": calibration}
         return self._json("POST", "/v1/sessions", json=body)
 

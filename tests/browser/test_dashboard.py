@@ -143,6 +143,7 @@ def test_from_an_empty_service_to_the_printed_report(
     use_the_report(page)
     check_accessibility(page)
     print_the_report(page, browser, tmp_path)
+    compare_trials(page)
     assert watch.wrong == []
 
 
@@ -157,6 +158,7 @@ def wait_until(page: Page, condition: str) -> None:
 def create_session(page: Page) -> None:
     page.get_by_role("link", name="New session").click()
     page.get_by_label("Name").fill("Anna, barefoot")
+    page.get_by_label("Code").fill("P07")
     page.get_by_label("Mass, kg").fill("61")
     page.get_by_label("Stature, m").fill("1,66")
     page.get_by_label("Sex").select_option("female")
@@ -226,6 +228,22 @@ def use_the_report(page: Page) -> None:
     assert float(moment.input_value()) == pytest.approx(float(said.split()[3]), abs=0.06)  # said to a tenth
     for words in ("Findings", "cadence", "motion.mot"):
         expect(page.get_by_text(words).first).to_be_visible()
+
+
+def compare_trials(page: Page) -> None:
+    """From the subject to two of their trials in one view; one analysis, twice, differs by nothing."""
+    report = page.url.rpartition("/")[2]
+    page.get_by_role("link", name="gonio", exact=True).click()
+    page.get_by_role("link", name="P07", exact=True).click()
+    expect(page.get_by_role("checkbox", name="Anna, barefoot")).to_be_visible()
+    check_accessibility(page)
+    page.goto(page.url.partition("#")[0] + f"#/compare/{report}/{report}")
+    expect(page.locator(".scene canvas")).to_have_count(2)
+    page.get_by_role("button", name="Right", exact=True).click()
+    cadence = page.get_by_role("row").filter(has_text="cadence").get_by_role("cell")
+    assert cadence.nth(2).inner_text() == cadence.nth(3).inner_text() != "–"
+    assert float(cadence.last.inner_text()) == 0
+    check_accessibility(page)
 
 
 def print_the_report(page: Page, browser: Browser, tmp_path: Path) -> None:

@@ -108,6 +108,22 @@ def test_no_route_shows_or_changes_anything_of_another_lab(labs, method, path):
     assert "north" not in response.text
 
 
+def test_a_subject_has_the_sessions_of_their_own_lab_only(labs):
+    lab, north, south, _ = labs
+    sessions, codes = f"{lab.url}/v1/sessions", ("P07", "P07", "P08", "P'07%")
+    made: dict[str, list[str]] = {}
+    for key in (north, south):
+        for code in codes:
+            body = {"kind": "human_multicamera", "subject": {"code": code}}
+            made.setdefault(key + code, []).append(httpx.post(sessions, json=body, headers=bearer(key)).json()["id"])
+    for key in (north, south):
+        for code in set(codes):
+            found = httpx.get(sessions, params={"subject": code}, headers=bearer(key)).json()["items"]
+            assert {one["id"] for one in found} == set(made[key + code])
+            assert {one["subject"]["code"] for one in found} == {code}
+    assert httpx.get(sessions, params={"subject": "P09"}, headers=bearer(north)).json()["items"] == []
+
+
 def test_a_foreign_calibration_cannot_be_named(labs):
     lab, _, south, _ = labs
     body = {"kind": "human_multicamera", "calibration": NOBODY}

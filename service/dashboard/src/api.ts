@@ -14,12 +14,12 @@ export class Problem extends Error {
   }
 }
 
-async function ask(method: string, path: string, body?: unknown): Promise<Response> {
+async function ask(method: string, path: string, body?: unknown, headers: Record<string, string> = {}): Promise<Response> {
   let response: Response;
   try {
     response = await fetch(path, {
       method,
-      headers: body === undefined ? {} : { "content-type": "application/json" },
+      headers: body === undefined ? headers : { ...headers, "content-type": "application/json" },
       body: body === undefined ? undefined : JSON.stringify(body),
     });
   } catch {
@@ -56,7 +56,7 @@ export const api = {
   caller: () => json<Caller>("GET", "/v1/caller"),
   signIn: (key: string) => ask("POST", "/sign-in", { key }),
   signOut: () => ask("POST", "/sign-out"),
-  sessions: () => all<Session>("/v1/sessions"),
+  sessions: (subject?: string) => all<Session>(subject === undefined ? "/v1/sessions" : `/v1/sessions?subject=${encodeURIComponent(subject)}`),
   session: (id: string) => json<Session>("GET", `/v1/sessions/${id}`),
   createSession: (values: { kind: string; name: string; subject: Subject; calibration: string | null }) =>
     json<Session>("POST", "/v1/sessions", values),
@@ -74,5 +74,11 @@ export const api = {
   calibrations: () => all<Calibration>("/v1/calibrations"),
   calibration: (id: string) => json<Calibration>("GET", `/v1/calibrations/${id}`),
   document: <T>(url: string) => json<T>("GET", url),
-  numbers: async (url: string) => new Float32Array(await (await ask("GET", url)).arrayBuffer()),
+  /** Some of a file's 32-bit floats: `size` of them from number `offset` on. */
+  numbers: async (url: string, offset: number, size: number) => {
+    const range = `bytes=${4 * offset}-${4 * (offset + size) - 1}`;
+    const answer = await ask("GET", url, undefined, { range });
+    const numbers = new Float32Array(await answer.arrayBuffer());
+    return answer.status === 206 ? numbers : numbers.subarray(offset, offset + size);
+  },
 };

@@ -7,6 +7,8 @@ import { HomePage } from "./pages/home";
 import { NewSessionPage } from "./pages/new";
 import { ReportPage } from "./pages/report";
 import { SessionPage } from "./pages/session";
+import { ComparePage } from "./pages/compare";
+import { SubjectPage } from "./pages/subject";
 import { SignInPage } from "./pages/signin";
 import { ProblemNote } from "./parts/problem";
 import "./style.css";
@@ -26,9 +28,11 @@ function usePlace(): string[] {
 }
 
 function Page({ place }: { place: string[] }) {
-  const [what, id] = place;
-  if (what === "new") return <NewSessionPage kind={id ?? "human_multicamera"} />;
+  const [what, id, other] = place;
+  if (what === "new") return <NewSessionPage key={location.hash} kind={id || "human_multicamera"} code={decodeURIComponent(other ?? "")} />;
   if (what === "sessions" && id) return <SessionPage key={id} id={id} />;
+  if (what === "subjects" && id) return <SubjectPage key={id} code={decodeURIComponent(id)} />;
+  if (what === "compare" && id && other) return <ComparePage key={id + other} first={id} second={other} />;
   if (what === "calibrations" && id) return <CalibrationPage key={id} id={id} />;
   if (what === "reports" && id) return <ReportPage key={id} id={id} />;
   return <HomePage />;

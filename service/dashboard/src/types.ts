@@ -5,6 +5,7 @@ export type Side = "right" | "left";
 export type Severity = "info" | "warning" | "serious";
 
 export interface Subject {
+  code?: string | null;
   mass_kg?: number | null;
   stature_m?: number | null;
   sex?: "female" | "male" | null;

@@ -30,6 +30,13 @@ class Subject(_In):
 
     model_config = ConfigDict(json_schema_extra={"example": {"mass_kg": 61.0, "stature_m": 1.68, "sex": "female"}})
 
+    code: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=100,
+        pattern=PRINTABLE,
+        description="What the lab calls this person, the same in all of their sessions. A pseudonym: names don't belong here.",
+    )
     mass_kg: float | None = Field(default=None, gt=0, le=500, description="Needed for torques.")
     stature_m: float | None = Field(default=None, gt=0.3, le=2.8)
     sex: Literal["female", "male"] | None = Field(default=None, description="Chooses the regression of segment masses.")

@@ -66,9 +66,10 @@ class Repository:
         """Give a session, or raise ``not-found``."""
         return self._one(SessionRow, SessionRow.id == session_id)
 
-    def sessions(self, limit: int, after: Place | None = None) -> Sequence[SessionRow]:
-        """List sessions, newest first."""
-        return self._page(SessionRow, limit, after)
+    def sessions(self, limit: int, after: Place | None = None, subject: str | None = None) -> Sequence[SessionRow]:
+        """List sessions, newest first; all, or those of the subject with a code."""
+        conditions = () if subject is None else (SessionRow.subject["code"].as_string() == subject,)
+        return self._page(SessionRow, limit, after, *conditions)
 
     def files(self, session_id: str) -> Sequence[FileRow]:
         """List the files of a session by name."""

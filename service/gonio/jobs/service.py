@@ -137,10 +137,12 @@ class Service:
         with self._reading(lab) as repository:
             return repository.session(session_id)
 
-    def sessions(self, lab: str, limit: int, after: Place | None = None) -> Sequence[SessionRow]:
-        """List sessions, newest first."""
+    def sessions(
+        self, lab: str, limit: int, after: Place | None = None, subject: str | None = None
+    ) -> Sequence[SessionRow]:
+        """List sessions, newest first; all, or those of the subject with a code."""
         with self._reading(lab) as repository:
-            return repository.sessions(limit, after)
+            return repository.sessions(limit, after, subject)
 
     def delete_session(self, lab: str, session_id: str) -> None:
         """Delete a session with its files, jobs and reports or calibrations, and everything that was computed from it.
@@ -330,7 +332,9 @@ class Service:
             calibration_id = calibration_id or owner.calibration_id
             wanted = parameters
             if owner.kind != "calibration":
-                wanted = {**parameters, "subject": {**owner.subject, **parameters.get("subject", {})}}
+                # The code is the lab's affair: nothing is computed from it, and no report has it.
+                person = {name: value for name, value in owner.subject.items() if name != "code"}
+                wanted = {**parameters, "subject": {**person, **parameters.get("subject", {})}}
             known = repository.find_job(job_id)
             if known is not None:
                 return same_job(known, session_id, wanted, calibration_id), False

@@ -1,6 +1,7 @@
 import { api } from "../api";
 import { useLoaded } from "../load";
 import { isActive } from "../parts/job";
+import { Sessions } from "../parts/sessions";
 import { ProblemNote } from "../parts/problem";
 import type { Calibration, Job, Session } from "../types";
 
@@ -20,6 +21,7 @@ export function HomePage() {
   const { value, problem } = useLoaded(load, "home", (found) => found.jobs.some(isActive), 2000);
   if (!value) return <ProblemNote problem={problem} />;
   const trials = value.sessions.filter((session) => session.kind !== "calibration");
+  const subjects = [...new Set(trials.map((session) => session.subject.code).filter((code): code is string => Boolean(code)))].sort();
   return (
     <>
       <ProblemNote problem={problem} />
@@ -32,27 +34,45 @@ export function HomePage() {
           Calibrate cameras
         </a>
       </div>
+      {subjects.length > 0 && (
+        <>
+          <h2>Subjects</h2>
+          <table>
+            <thead>
+              <tr>
+                <th>Subject</th>
+                <th>Sessions</th>
+                <th>Reports</th>
+                <th>Last one</th>
+              </tr>
+            </thead>
+            <tbody>
+              {subjects.map((code) => {
+                const own = trials.filter((session) => session.subject.code === code);
+                const reports = value.jobs.filter((job) => job.report && own.some((session) => session.id === job.session));
+                return (
+                  <tr key={code}>
+                    <td>
+                      <a href={`#/subjects/${encodeURIComponent(code)}`}>{code}</a>
+                    </td>
+                    <td>{own.length}</td>
+                    <td>{reports.length}</td>
+                    <td>{new Date(own[0]!.created_at).toLocaleDateString()}</td>
+                  </tr>
+                );
+              })}
+            </tbody>
+          </table>
+          <h2>All sessions</h2>
+        </>
+      )}
       {trials.length === 0 ? (
         <p class="empty">
           No session yet. A session holds the videos of one trial, with the cameras' calibration and, if there are any, the
           pressure soles. <code>gonio demo</code> makes an example.
         </p>
       ) : (
-        <table>
-          <thead>
-            <tr>
-              <th>Session</th>
-              <th>Subject</th>
-              <th>Made</th>
-              <th>State</th>
-            </tr>
-          </thead>
-          <tbody>
-            {trials.map((session) => (
-              <SessionRow key={session.id} session={session} jobs={value.jobs.filter((job) => job.session === session.id)} />
-            ))}
-          </tbody>
-        </table>
+        <Sessions sessions={trials} jobs={value.jobs} />
       )}
       <h2>Calibrations</h2>
       {value.calibrations.length === 0 ? (
@@ -84,32 +104,5 @@ export function HomePage() {
         </table>
       )}
     </>
-  );
-}
-
-function SessionRow({ session, jobs }: { session: Session; jobs: Job[] }) {
-  const { mass_kg, stature_m, sex } = session.subject;
-  const subject = [sex, mass_kg && `${mass_kg} kg`, stature_m && `${stature_m} m`].filter(Boolean).join(", ");
-  const done = jobs.find((job) => job.report);
-  const running = jobs.find(isActive);
-  return (
-    <tr>
-      <td>
-        <a href={`#/sessions/${session.id}`}>{session.name || "unnamed"}</a>
-      </td>
-      <td>{subject || <span class="quiet">not given</span>}</td>
-      <td>{new Date(session.created_at).toLocaleString()}</td>
-      <td>
-        {running ? (
-          <span class="state doing">
-            {running.progress ? `${running.progress.stage}, ${Math.round(100 * running.progress.fraction)} %` : "waiting"}
-          </span>
-        ) : done ? (
-          <a href={`#/reports/${done.id}`}>report</a>
-        ) : (
-          <span class="quiet">{jobs[0]?.state ?? "not analysed"}</span>
-        )}
-      </td>
-    </tr>
   );
 }

@@ -3,7 +3,9 @@ import { api, Problem } from "../api";
 import { useLoaded } from "../load";
 import { ProblemNote } from "../parts/problem";
 
-export function NewSessionPage({ kind }: { kind: string }) {
+/** `code`: of a subject who was here before; what is known of them stands in the form already. */
+export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
+  const { value: before } = useLoaded(async () => (code ? ((await api.sessions(code))[0]?.subject ?? null) : null), code);
   const [problem, setProblem] = useState<Problem | null>(null);
   const { value: calibrations } = useLoaded(api.calibrations, "calibrations");
   const [cameras, setCameras] = useState(kind);
@@ -17,7 +19,7 @@ export function NewSessionPage({ kind }: { kind: string }) {
       const session = await api.createSession({
         kind: isTrial ? text("kind") : kind,
         name: text("name"),
-        subject: isTrial ? { mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
+        subject: isTrial ? { code: text("code") || null, mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
         calibration: text("calibration") || null,
       });
       location.hash = `#/sessions/${session.id}`;
@@ -56,19 +58,26 @@ export function NewSessionPage({ kind }: { kind: string }) {
           <fieldset>
             <legend>Subject</legend>
             <label>
+              Code
+              <input name="code" maxLength={100} value={code} placeholder="P07" aria-describedby="code-why" />
+            </label>
+            <p id="code-why" class="quiet">
+              The same in all sessions of a person, which then stand together. A pseudonym, not a name.
+            </p>
+            <label>
               Mass, kg
-              <input name="mass" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" aria-describedby="mass-why" />
+              <input name="mass" value={before?.mass_kg ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" aria-describedby="mass-why" />
             </label>
             <p id="mass-why" class="quiet">
               Without it, there are angles but no torques.
             </p>
             <label>
               Stature, m
-              <input name="stature" inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" required={cameras === "human_monocular"} />
+              <input name="stature" value={before?.stature_m ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" required={cameras === "human_monocular"} />
             </label>
             <label>
               Sex
-              <select name="sex">
+              <select name="sex" value={before?.sex ?? ""}>
                 <option value="">not given</option>
                 <option value="female">female</option>
                 <option value="male">male</option>

@@ -126,7 +126,8 @@ function Cycles({ id, trial, clock }: { id: string; trial: Trial; clock: Clock }
               </option>
             ))}
         </select>
-      </label>
+      </label>{" "}
+      {chosen && <a href={`#/compare/${id}/${chosen}`}>Both side by side</a>}
       <CycleCurves report={trial.report} clock={clock} other={chosen ? other : null} />
     </>
   );

@@ -50,6 +50,7 @@ export function SessionPage({ id }: { id: string }) {
     <>
       <div class="row">
         <h1>{session.value.name || "Unnamed session"}</h1>
+        {session.value.subject.code && <a href={`#/subjects/${encodeURIComponent(session.value.subject.code)}`}>Subject {session.value.subject.code}</a>}
         <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, parametersOf(options)), jobs.again)}>
           {isTrial ? "Analyse" : "Calibrate"}
         </button>

@@ -12,6 +12,7 @@ const COLOURS = { right: RIGHT, left: LEFT };
 const SIDES: Side[] = ["right", "left"];
 const BAND_SD = 1.96;
 const HEIGHT = 190;
+const BUCKETS = 500; // a curve is hardly wider than that in pixels
 const PERCENT = Array.from({ length: 101 }, (_, i) => i);
 
 interface Line {
@@ -74,13 +75,14 @@ export function TimeCurves({ report, clock }: { report: Report; clock: Clock }) 
 }
 
 /** The mean curves over the gait cycle, beside healthy people and, if there is one, another trial. */
-export function CycleCurves({ report, clock, other }: { report: Report; clock: Clock; other: Report | null }) {
+export function CycleCurves({ report, clock, other, only }: { report: Report; clock: Clock; other: Report | null; only?: Side }) {
+  const shown = only ? [only] : SIDES;
   const start = report.time_s[0] ?? 0;
   const first = (side: Side) => report.gait.cycles.find((cycle) => cycle.side === side && !cycle.left_out);
   const quantities = [...new Set(report.gait.curves.map((curve) => curve.quantity))].sort((a, b) => rank(a) - rank(b));
   const charts = quantities.map((quantity): Chart => {
     const of = (from: Report, side: Side) => from.gait.curves.find((curve) => curve.quantity === quantity && curve.side === side);
-    const sides = SIDES.map((side) => of(report, side)).filter((curve): curve is CycleCurve => curve !== undefined);
+    const sides = shown.map((side) => of(report, side)).filter((curve): curve is CycleCurve => curve !== undefined);
     const norm = sides[0]?.norm;
     return {
       title: `${sides[0]?.name}, ${sides[0]?.unit === "deg" ? "degrees" : sides[0]?.unit} (${sides[0]?.positive} positive)`,
@@ -94,9 +96,11 @@ export function CycleCurves({ report, clock, other }: { report: Report; clock: C
       extra: [
         ...(norm ? [{ label: "healthy, mean ± SD", low: add(norm.mean, norm.sd, -1), middle: null, high: add(norm.mean, norm.sd, 1), colour: "#9a9a9a", fill: "#9a9a9a44" }] : []),
         ...(other
-          ? SIDES.flatMap((side) => {
+          ? shown.flatMap((side) => {
               const curve = of(other, side);
-              return curve ? [{ label: `${side}, other trial`, low: curve.mean, middle: curve.mean, high: curve.mean, colour: COLOURS[side], fill: "transparent", dash: [2, 4] }] : [];
+              const half = curve?.error_sd.map((sd) => (sd === null ? 0 : BAND_SD * sd)) ?? [];
+              const [low, high] = curve ? [add(curve.mean, half, -1), add(curve.mean, half, 1)] : [[], []];
+              return curve ? [{ label: `${side}, other trial`, low, middle: curve.mean, high, colour: COLOURS[side], fill: `${COLOURS[side]}14`, dash: [2, 4] }] : [];
             })
           : []),
       ],
@@ -109,7 +113,7 @@ export function CycleCurves({ report, clock, other }: { report: Report; clock: C
   return (
     <div class="curves">
       {charts.map((chart) => (
-        <Plot key={chart.title} chart={chart} clock={clock} toTime={toTime} fromTime={fromTime} events={[]} />
+        <Plot key={`${chart.title} ${only}`} chart={chart} clock={clock} toTime={toTime} fromTime={fromTime} events={[]} />
       ))}
     </div>
   );
@@ -136,7 +140,9 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
   const told = useRef<HTMLOutputElement>(null);
   useEffect(() => {
     const host = place.current!;
-    let cursor: number | null = null;
+    const line = document.createElement("div");
+    line.className = "moment-line";
+    const shown = thinned(chart);
     const plot = new uPlot(
       {
         width: Math.max(host.clientWidth, 200),
@@ -159,22 +165,38 @@ function Plot({ chart, clock, toTime, fromTime, events }: PlotProps) {
             },
           ],
           drawClear: [(self: uPlot) => shade(self, clock.meant.value, fromTime)],
-          draw: [(self: uPlot) => mark(self, events, cursor)],
+          draw: [(self: uPlot) => mark(self, events)],
+          setSize: [() => placeLine()],
         },
       },
-      dataOf(chart),
+      dataOf(shown),
       host,
     );
-    const stop = effect(() => {
-      cursor = fromTime(clock.time_s.value);
+    plot.over.append(line);
+    // The clock moves an element over the plot: to draw all curves again for each moment would take too long.
+    const placeLine = () => {
+      if (!told.current) return; // uPlot tells of its size a little later, maybe after the page has gone
+      const cursor = fromTime(clock.time_s.peek());
+      const left = cursor === null ? -1 : plot.valToPos(cursor, "x");
+      line.hidden = left < 0 || left > plot.over.clientWidth;
+      line.style.transform = `translateX(${left}px)`;
+      told.current.textContent = cursor === null ? "" : tell(chart, cursor);
+    };
+    const stopLine = effect(() => {
+      void clock.time_s.value;
+      placeLine();
+    });
+    let first = true;
+    const stopShade = effect(() => {
       void clock.meant.value;
-      told.current!.textContent = cursor === null ? "" : tell(chart, cursor);
-      plot.redraw(false, false);
+      if (!first) plot.redraw(false, false);
+      first = false;
     });
     const fit = new ResizeObserver(() => plot.setSize({ width: Math.max(host.clientWidth, 200), height: HEIGHT }));
     fit.observe(host);
     return () => {
-      stop();
+      stopLine();
+      stopShade();
       fit.disconnect();
       plot.destroy();
     };
@@ -225,6 +247,33 @@ function seriesOf(chart: Chart): Pick<uPlot.Options, "series" | "bands"> {
   return { series, bands };
 }
 
+/**
+ * Leave out what no screen can show: of each bucket of samples, all lines' lowest and highest values stay, and where
+ * something begins or ends to be unknown.
+ */
+function thinned(chart: Chart): Chart {
+  const size = chart.x.length;
+  if (size <= 3 * BUCKETS || chart.extra.length > 0) return chart;
+  const kept = new Set<number>([0, size - 1]);
+  for (const { values } of chart.lines) {
+    for (let bucket = 0; bucket < BUCKETS; bucket++) {
+      const [start, end] = [Math.floor((bucket * size) / BUCKETS), Math.floor(((bucket + 1) * size) / BUCKETS)];
+      let [low, high] = [-1, -1];
+      for (let i = start; i < end; i++) {
+        const value = values[i];
+        if (i > 0 && (value == null) !== (values[i - 1] == null)) kept.add(i).add(i - 1);
+        if (value == null) continue;
+        if (low < 0 || value < values[low]!) low = i;
+        if (high < 0 || value > values[high]!) high = i;
+      }
+      if (low >= 0) kept.add(low).add(high);
+    }
+  }
+  const order = [...kept].sort((a, b) => a - b);
+  const pick = <T,>(values: T[]): T[] => order.map((i) => values[i]!);
+  return { ...chart, x: pick(chart.x), lines: chart.lines.map((line) => ({ ...line, values: pick(line.values), band: pick(line.band) })) };
+}
+
 function dataOf(chart: Chart): uPlot.AlignedData {
   const columns: Series[] = [];
   for (const one of chart.extra) columns.push(one.high, one.low, ...(one.middle ? [one.middle] : []));
@@ -232,8 +281,8 @@ function dataOf(chart: Chart): uPlot.AlignedData {
   return [chart.x, ...columns] as uPlot.AlignedData;
 }
 
-/** Draw the events and the clock's moment over a plot. */
-function mark(plot: uPlot, events: GaitEvent[], cursor: number | null) {
+/** Draw the events over a plot. */
+function mark(plot: uPlot, events: GaitEvent[]) {
   const { ctx, bbox } = plot;
   const vertical = (x: number, colour: string, dash: number[], width: number) => {
     const left = plot.valToPos(x, "x", true);
@@ -248,7 +297,6 @@ function mark(plot: uPlot, events: GaitEvent[], cursor: number | null) {
   };
   ctx.save();
   for (const event of events) vertical(event.time_s, `${COLOURS[event.side]}99`, event.kind === "toe-off" ? [3, 3] : [], devicePixelRatio);
-  if (cursor !== null) vertical(cursor, "#111827", [], 1.5 * devicePixelRatio);
   ctx.restore();
 }
 
@@ -274,7 +322,8 @@ function describe(chart: Chart): string {
     .map(({ side, values }) => {
       const known = values.filter((value): value is number => value !== null);
       if (known.length === 0) return `${side} unknown`;
-      return `${side} from ${Math.min(...known).toFixed(1)} to ${Math.max(...known).toFixed(1)}${chart.unit}`;
+      const [low, high] = known.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
+      return `${side} from ${low.toFixed(1)} to ${high.toFixed(1)}${chart.unit}`;
     })
     .join("; ");
 }

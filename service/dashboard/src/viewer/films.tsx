@@ -38,7 +38,10 @@ function Film({ trial, clock, view, index }: { trial: Trial; clock: Clock; view:
         film.currentTime = at;
       }
     });
-    const stopDrawing = effect(() => draw(canvas.current!, trial, view, index, clock.time_s.value));
+    const stopDrawing = effect(() => {
+      void trial.arrived.value;
+      draw(canvas.current!, trial, view, index, clock.time_s.value);
+    });
     return () => {
       stopVideo();
       stopDrawing();

@@ -46,6 +46,7 @@ export function Scene({ trial, clock, layers }: { trial: Trial; clock: Clock; la
     });
     fit.observe(host);
     const stop = effect(() => {
+      void trial.arrived.value;
       stage.show(trial.frameAt(trial.header.start_s + clock.time_s.value), layers.value);
       draw();
     });

@@ -1,5 +1,6 @@
 // The movement of one report: viewer.json and viewer.f32 (docs/reference/viewer.md), and where things are at a moment.
 
+import { signal } from "@preact/signals";
 import { api } from "../api";
 import type { Report, ResultFile } from "../types";
 
@@ -30,6 +31,9 @@ interface Header {
 export type Point = [number, number, number];
 
 export class Trial {
+  /** Counts the parts of the numbers that have come: what is drawn is drawn again. */
+  readonly arrived = signal(0);
+
   constructor(
     readonly report: Report,
     readonly files: ResultFile[],
@@ -72,13 +76,28 @@ export class Trial {
   }
 }
 
+const FIRST = ["markers", "force", "cop"]; // the body and the forces; the rest, much more, may come a little later
+
+/** Load a trial: at once what is seen first, the rest while it is looked at. Until then it is unknown, NaN. */
 export async function loadTrial(id: string): Promise<Trial> {
   const base = `/v1/reports/${id}/files`;
-  const [report, files, header, numbers] = await Promise.all([
-    api.report(id),
-    api.reportFiles(id),
-    api.document<Header>(`${base}/viewer.json`),
-    api.numbers(`${base}/viewer.f32`),
-  ]);
-  return new Trial(report, files, header, numbers);
+  const asked = [api.report(id), api.reportFiles(id)] as const;
+  const header = await api.document<Header>(`${base}/viewer.json`);
+  const sizes = Object.entries(header.arrays).map(([name, { offset, shape }]) => {
+    return { name, offset, size: shape.reduce((all, one) => all * one, 1) };
+  });
+  const numbers = new Float32Array(Math.max(0, ...sizes.map(({ offset, size }) => offset + size))).fill(NaN);
+  const fetchPart = async ({ offset, size }: { offset: number; size: number }) => {
+    if (size > 0) numbers.set(await api.numbers(`${base}/viewer.f32`, offset, size), offset);
+  };
+  const first = sizes.filter(({ name }) => FIRST.includes(name));
+  const [report, files] = await Promise.all([...asked, ...first.map(fetchPart)]);
+  const trial = new Trial(report, files, header, numbers);
+  for (const part of sizes.filter(({ name }) => !FIRST.includes(name))) {
+    void fetchPart(part).then(
+      () => (trial.arrived.value += 1),
+      () => undefined, // what didn't come stays unknown; the page shows the rest
+    );
+  }
+  return trial;
 }

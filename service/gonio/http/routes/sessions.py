@@ -1,6 +1,8 @@
 """Capture sessions."""
 
-from fastapi import APIRouter, Response
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
 
 from gonio.http.dependencies import CurrentLab, Id, Page, TheCaller, TheService
 from gonio.http.problems import GUARD, fails
@@ -24,9 +26,16 @@ def create_session(body: SessionIn, response: Response, service: TheService, lab
 
 
 @router.get("", responses=fails("bad-cursor"))
-def list_sessions(page: Page, service: TheService, caller: TheCaller) -> ListOf[SessionOut]:
+def list_sessions(
+    page: Page,
+    service: TheService,
+    caller: TheCaller,
+    subject: Annotated[
+        str | None, Query(max_length=100, description="Only those of the subject with this code.")
+    ] = None,
+) -> ListOf[SessionOut]:
     """List sessions, newest first."""
-    rows = service.sessions(caller.lab, page.limit, page.after)
+    rows = service.sessions(caller.lab, page.limit, page.after, subject)
     service.access.note_reading(caller, None, "sessions")
     return ListOf(items=[SessionOut.of(row) for row in rows], next_cursor=page.next_cursor(rows))
 
