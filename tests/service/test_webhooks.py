@@ -206,8 +206,8 @@ def test_webhooks_over_http(lab, ear, capture, journal):
     assert made.json()["secret"]
     assert "secret" not in lab.http.get("/v1/webhooks").json()["items"][0]
     job = lab.client.analyse(lab.complete_session(capture), journal.parameters(seconds=0))["id"]
-    lab.client.wait(job, timeout_s=20)
-    for _ in range(50):
+    lab.client.wait(job, timeout_s=90)
+    for _ in range(200):
         sent = lab.http.get(f"{made.headers['location']}/deliveries").json()["items"]
         if sent and sent[0]["delivered_at"]:
             break

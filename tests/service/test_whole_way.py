@@ -52,12 +52,12 @@ def test_cancel_stops_a_long_stage_in_its_first_part(lab, capture, journal):
     """
     session = lab.complete_session(capture)
     job = lab.client.analyse(session, journal.parameters(seconds=60))["id"]
-    journal.wait_for("begin keypoints")
+    journal.wait_for("begin keypoints", timeout_s=90)
     assert lab.client.cancel(job)["state"] == "cancelled"
     with pytest.raises(Cancelled):
         lab.client.wait(job)
     # The one worker is free again when the next job begins.
-    lab.client.wait(lab.client.analyse(session, journal.parameters(seconds=0.0))["id"], timeout_s=60)
+    lab.client.wait(lab.client.analyse(session, journal.parameters(seconds=0.0))["id"], timeout_s=90)
     lines = journal.lines()
     stopped = next(line for line in lines if line.startswith("stopped at"))
     assert float(stopped.rpartition(" ")[2]) < 1 / 3
