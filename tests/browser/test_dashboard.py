@@ -165,6 +165,7 @@ def create_session(page: Page) -> None:
     page.get_by_label("one camera").check()
     expect(page.get_by_text("All lengths rest on the stature.")).to_be_visible()
     page.get_by_label("several cameras, at once").check()
+    expect(page.get_by_label("Stature, m")).to_have_value("1,66")  # what was typed stays
     check_accessibility(page)
     page.get_by_role("button", name="Create").click()
     expect(page.get_by_role("heading", name="Anna, barefoot")).to_be_visible()

@@ -72,7 +72,7 @@ function RigScene({ url }: { url: string }) {
       const [width_px, height_px] = [one.image_width_px, one.image_height_px];
       const inverse = pose.clone().invert().elements;
       const T_cam_lab = [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => inverse[4 * column + row]!));
-      scene.add(cameraLines({ width_px, height_px, intrinsic_px: one.intrinsic_px, T_cam_lab }, 0.12 * across_m));
+      scene.add(cameraLines({ name: one.name, width_px, height_px, intrinsic_px: one.intrinsic_px, T_cam_lab }, 0.12 * across_m));
     }
     const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 200);
     const controls = new OrbitControls(camera, renderer.domElement);

@@ -59,28 +59,28 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
             <legend>Subject</legend>
             <label>
               Code
-              <input name="code" maxLength={100} value={code} placeholder="P07" aria-describedby="code-why" />
+              <input name="code" maxLength={100} defaultValue={code} placeholder="P07" aria-describedby="code-why" />
             </label>
             <p id="code-why" class="quiet">
               The same in all sessions of a person, which then stand together. A pseudonym, not a name.
             </p>
             <label>
               Mass, kg
-              <input name="mass" value={before?.mass_kg ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" aria-describedby="mass-why" />
+              <input name="mass" defaultValue={before?.mass_kg ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" aria-describedby="mass-why" />
             </label>
             <p id="mass-why" class="quiet">
               Without it, there are angles but no torques.
             </p>
             <label>
               Stature, m
-              <input name="stature" value={before?.stature_m ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" required={cameras === "human_monocular"} />
+              <input name="stature" defaultValue={before?.stature_m ?? ""} inputMode="decimal" pattern="[0-9]+([.,][0-9]+)?" required={cameras === "human_monocular"} />
             </label>
             <label>
               Sex
-              <select name="sex" value={before?.sex ?? ""}>
+              <select name="sex">
                 <option value="">not given</option>
-                <option value="female">female</option>
-                <option value="male">male</option>
+                <option value="female" selected={before?.sex === "female"}>female</option>
+                <option value="male" selected={before?.sex === "male"}>male</option>
               </select>
             </label>
           </fieldset>

@@ -32,8 +32,13 @@ export function Peaks({ report, clock }: { report: Report; clock: Clock }) {
 function findPeaks(report: Report): Peak[] {
   const start = report.time_s[0] ?? 0;
   const of = (label: string, joint: string, side: Side, values: Series, band: Series, unit: string, digits: number): Peak[] => {
+    // The ends of a recording are the least certain: where there are whole cycles, it is they that count.
+    const cycles = report.gait.cycles.filter((cycle) => cycle.side === side && !cycle.left_out);
+    const counts = (time_s: number) => cycles.length === 0 || cycles.some((cycle) => time_s >= cycle.start_s && time_s <= cycle.end_s);
     let best = -1;
-    values.forEach((value, i) => (value !== null && (best < 0 || value > values[best]!) ? (best = i) : 0));
+    values.forEach((value, i) => {
+      if (value !== null && (best < 0 || value > values[best]!) && counts(report.time_s[i]!)) best = i;
+    });
     if (best < 0) return [];
     const half = band[best] == null ? "" : ` ± ${band[best]!.toFixed(digits)}`;
     return [{ label, side, joint, words: `${values[best]!.toFixed(digits)}${half}${unit}`, at_s: report.time_s[best]! - start }];

@@ -14,7 +14,9 @@ export function Transport({ clock }: { clock: Clock }) {
       End: () => clock.seek(clock.duration_s),
     };
     const press = (event: KeyboardEvent) => {
-      const typing = (event.target as HTMLElement).closest("input, select, textarea, button, a");
+      // A field has its own use for keys; a button only for the space bar.
+      const taken = event.key === " " ? "input, select, textarea, button, a, summary" : "input, select, textarea";
+      const typing = (event.target as HTMLElement).closest(taken);
       const act = keys[event.key];
       if (!act || typing || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
