@@ -280,8 +280,21 @@ def demo(
             "truth. Needs no network and no weights.",
         ),
     ] = False,
+    articulated: Annotated[
+        bool,
+        typer.Option(
+            "--articulated",
+            help="Upload and solve the marks of a virtual mannequin in four pictures of one moving camera instead, and print "
+            "how far the report is from the truth. Needs no network and no weights.",
+        ),
+    ] = False,
 ) -> None:
     """Send four real videos over HTTP through a running service, and read the report."""
+    if articulated:
+        from gonio.demo.articulated import run_articulated_demo
+
+        run_articulated_demo(output, console)
+        return
     if virtual:
         from gonio.demo.virtual import run_virtual_demo
 

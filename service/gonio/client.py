@@ -96,7 +96,9 @@ class Client:
     def create_session(
         self,
         *,
-        kind: Literal["human_multicamera", "human_monocular", "calibration"] = "human_multicamera",
+        kind: Literal[
+            "human_multicamera", "human_monocular", "articulated_object", "calibration"
+        ] = "human_multicamera",
         name: str = "",
         subject: Mapping[str, float | str] | None = None,
         calibration: str | None = None,

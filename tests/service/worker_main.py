@@ -19,6 +19,7 @@ from jaxtyping import Float
 from gonio.errors import CaptureError
 from gonio.jobs.logs import set_up_logging
 from gonio.jobs.worker import run_worker
+from gonio.pipeline.articulated_session import OBJECT_SHARES, analyse_object
 from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
 from gonio.pipeline.run import CaptureFile, Outcome, Progress, ReportFiles, River, StageRunner
 from gonio.records import Finding, record
@@ -127,5 +128,9 @@ def analyse(
 if __name__ == "__main__":
     set_up_logging(Settings())
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    rivers = {"human_multicamera": River(analyse, SHARES), "calibration": River(calibrate, CALIBRATION_SHARES)}
+    rivers = {
+        "human_multicamera": River(analyse, SHARES),
+        "articulated_object": River(analyse_object, OBJECT_SHARES),
+        "calibration": River(calibrate, CALIBRATION_SHARES),
+    }
     run_worker(Settings(), rivers, supervisor_pid=int(supervisor) if supervisor else None)

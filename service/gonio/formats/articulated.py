@@ -60,7 +60,9 @@ class BodyCard(Strict):
     reference: str | None = None
 
 
-class _Mark(Strict):
+class Mark(Strict):
+    """One mark of a part."""
+
     picture: str
     part: str
     point: str
@@ -110,7 +112,7 @@ def read_tracks(path: Path, card: BodyCard, pictures: tuple[str, ...]) -> tuple[
     Raises:
         InputError: ``tracks-unreadable`` (the row and the field are named), or ``part-with-few-points``.
     """
-    marks = read_marks(path, _Mark)
+    marks = read_marks(path, Mark)
     names: dict[str, list[str]] = {part: [] for part in card.parts}
     for row, mark in enumerate(marks, start=1):
         if mark.part not in names:

@@ -120,6 +120,9 @@ KINDS: Mapping[str, Kind] = {
     "calibration-missing": Kind(409, "Calibration missing", "An analysis needs the calibration of its cameras."),
     "calibration-ambiguous": Kind(422, "Calibration ambiguous", "There are several calibrations; which one is meant?"),
     "too-few-cameras": Kind(409, "Too few cameras", "A rig is calibrated from the videos of two cameras or more."),
+    "object-files-missing": Kind(
+        409, "Object's files missing", "A joint tree, tracks, and what tells the cameras are needed, one of each."
+    ),
     "too-few-videos": Kind(
         409, "Too few videos", "A point needs two cameras to be seen in space; a session of one camera needs that one."
     ),

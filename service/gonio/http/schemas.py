@@ -57,8 +57,9 @@ class SessionIn(_In):
 
     kind: SessionKind = Field(
         description="`human_multicamera`: a person filmed by several synchronized cameras. `human_monocular`: by one, whose "
-        "place over the floor is calibrated; the subject's stature makes the scale. `calibration`: a board filmed by the "
-        "cameras, from which they are calibrated."
+        "place over the floor is calibrated; the subject's stature makes the scale. `articulated_object`: a thing "
+        "with joints in a few pictures of one moving camera. `calibration`: a board filmed by the cameras, from which they are "
+        "calibrated."
     )
     name: str = Field(default="", max_length=200, pattern=PRINTABLE, description="For people; need not be unique.")
     subject: Subject = Field(

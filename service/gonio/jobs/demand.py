@@ -65,6 +65,9 @@ def refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> Non
     if kind == "calibration":
         _refuse_without_sweep(files)
         return
+    if kind == "articulated_object":
+        _refuse_without_object(files)
+        return
     videos = max(sum(file["role"] == role for file in files) for role in ("video", "keypoints"))
     if not calibrations:
         raise CaptureError(
@@ -80,6 +83,23 @@ def refuse_when_incomplete(files: Sequence[Mapping[str, Any]], kind: str) -> Non
             hint=f"Upload the videos, or the keypoints, of {cameras}, then start the analysis again.",
             code="too-few-videos",
             videos=videos,
+        )
+
+
+def _refuse_without_object(files: Sequence[Mapping[str, Any]]) -> None:
+    roles = [file["role"] for file in files]
+    for role, name in (("joint_tree", "body.toml"), ("tracks", "tracks.csv or tracks.json")):
+        if roles.count(role) != 1:
+            raise CaptureError(
+                f"The session has {roles.count(role) or 'no'} files of role {role}; the analysis needs one.",
+                hint=f"Upload {name} with role={role}, then start the analysis again.",
+                code="object-files-missing",
+            )
+    if not {"calibration", "background", "picture"} & set(roles):
+        raise CaptureError(
+            "Nothing tells where the camera was.",
+            hint="Upload the cameras, marks of the background, or the pictures; then start the analysis again.",
+            code="object-files-missing",
         )
 
 

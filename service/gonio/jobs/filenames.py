@@ -6,7 +6,7 @@ from typing import get_args
 from urllib.parse import unquote
 
 from gonio.errors import InputError
-from gonio.pipeline.run import CalibrationRole, Role, TrialRole
+from gonio.pipeline.run import CalibrationRole, ObjectRole, Role, TrialRole
 
 MAX_BYTES = 255
 """The longest file name that the usual file systems take."""
@@ -45,6 +45,7 @@ def check_file_name(name: str) -> None:
 ROLES: dict[str, tuple[Role, ...]] = {
     "human_multicamera": get_args(TrialRole),
     "human_monocular": get_args(TrialRole),
+    "articulated_object": get_args(ObjectRole),
     "calibration": get_args(CalibrationRole),
 }
 """What the files of each kind of session may be."""
@@ -57,7 +58,11 @@ def guess_role(name: str, kind: str) -> Role:
         InputError: ``role-unknown``.
     """
     suffix = PurePath(name).suffix.lower()
-    if kind == "calibration":
+    if kind == "articulated_object":
+        guessed = _guess_object_role(PurePath(name).stem.lower(), suffix)
+        if guessed is not None:
+            return guessed
+    elif kind == "calibration":
         if suffix in VIDEOS + IMAGES:
             return "sweep"
         if suffix == ".toml" and PurePath(name).stem.lower() in ("board", "charuco", "checkerboard"):
@@ -79,6 +84,15 @@ def guess_role(name: str, kind: str) -> Role:
     )
 
 
+def _guess_object_role(stem: str, suffix: str) -> Role | None:
+    if suffix in IMAGES:
+        return "picture"
+    named: dict[str, Role] = {
+        "body": "joint_tree", "tracks": "tracks", "background": "background", "cameras": "calibration"
+    }  # fmt: skip
+    return named.get(stem)
+
+
 def check_role(role: Role, name: str, kind: str, camera: str | None) -> None:
     """Refuse a file that a session of its kind has no use for.
 
@@ -91,7 +105,7 @@ def check_role(role: Role, name: str, kind: str, camera: str | None) -> None:
             hint=f"Its files are: {', '.join(ROLES[kind])}.",
             code="role-wrong",
         )
-    if PurePath(name).suffix.lower() in IMAGES and camera is None:
+    if PurePath(name).suffix.lower() in IMAGES and camera is None and role != "picture":
         raise InputError(
             f"It is not known which camera took the photograph {name}.",
             hint="Send the form field `camera` with its name.",

@@ -33,7 +33,9 @@ def probe_file(path: Path, role: Role) -> dict[str, Any]:
 
 def _probe(path: Path, role: Role) -> dict[str, Any]:
     # Imported when the first file comes: together they take seconds, and the service answers meanwhile.
-    if role in ("sweep", "lens", "floor") and path.suffix.lower() in IMAGES:
+    if role in ("joint_tree", "tracks", "background"):
+        return _probe_object(path, role)
+    if role in ("sweep", "lens", "floor", "picture") and path.suffix.lower() in IMAGES:
         from gonio.vision.stills import read_grey
 
         height, width = read_grey(path).shape
@@ -71,6 +73,17 @@ def _probe(path: Path, role: Role) -> dict[str, Any]:
     from gonio.formats.calibration import read_calibration
 
     return {"cameras": list(read_calibration(path).names)}
+
+
+def _probe_object(path: Path, role: Role) -> dict[str, Any]:
+    from gonio.formats.articulated import Mark, read_body_card
+    from gonio.formats.background import BackgroundMark
+    from gonio.formats.marks import read_marks
+
+    if role == "joint_tree":
+        return {"parts": list(read_body_card(path).parts)}
+    marks = read_marks(path, Mark if role == "tracks" else BackgroundMark)
+    return {"marks": len(marks), "pictures": sorted({mark.picture for mark in marks})}
 
 
 def _probe_forces(path: Path, role: Role) -> dict[str, Any]:

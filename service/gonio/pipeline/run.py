@@ -16,7 +16,7 @@ from gonio.records import Finding
 
 T = TypeVar("T")
 
-SessionKind = Literal["human_multicamera", "human_monocular", "calibration"]
+SessionKind = Literal["human_multicamera", "human_monocular", "articulated_object", "calibration"]
 
 TrialRole = Literal[
     "video",
@@ -38,7 +38,11 @@ CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_po
 the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points,
 ``previous`` gonio's calibration of the same cameras, which is checked."""
 
-Role = Literal[TrialRole, CalibrationRole]
+ObjectRole = Literal["joint_tree", "tracks", "background", "picture", "calibration"]
+"""``joint_tree`` is body.toml, ``tracks`` the marks of the parts, ``background`` those of what stands still, ``picture`` a
+photograph, ``calibration`` the cameras where they are known."""
+
+Role = Literal[TrialRole, CalibrationRole, ObjectRole]
 
 STAGE_SHARES: Mapping[str, float] = MappingProxyType(
     {
