@@ -137,6 +137,17 @@ def test_the_surface_is_closed_and_holds_the_volume_of_the_voxels() -> None:
     assert (outward > 0).mean() > 0.99
 
 
+def test_a_part_that_others_hide_widely_is_bounded_by_the_pictures_that_show_it() -> None:
+    seen = silhouettes(around(4))
+    # Two pictures that are hidden but for a corner of the part, from one side, and two that show it from across.
+    far = [replace(each, hidden=~each.shown) for each in seen]
+    with_hidden = carve_part((seen[0], seen[1], far[2], far[3]), 64)
+    two = carve_part((seen[0], seen[1]), 64)
+    assert with_hidden.volume_m3 == pytest.approx(two.volume_m3, rel=0.02)
+    # All wide but for what two of them show: no picture alone has an end, and the hull is what any two show.
+    assert np.isfinite(carve_part(tuple(far), 64).mesh.xyz_m).all()
+
+
 def test_bad_silhouettes_are_refused_by_name() -> None:
     good = silhouettes(around(4))
     with pytest.raises(InputError) as refused:

@@ -1,10 +1,12 @@
 """The visual hull: all space that no silhouette denies.
 
-From coarse to fine. A box around the hull is found by linear programmes over the silhouettes' bounding rectangles, and
+From coarse to fine. A box around the hull is found by linear programmes over polygons around the silhouettes, and
 tightened by cells whose whole projection is background. Then blocks of voxels that are background in one picture, or shown
 in all of them, are decided as one, and only the voxels of the others are looked at. The result is the same, voxel by
 voxel, as asking each one alone [Laurentini 1994; Szeliski 1993 for the octree's rectangle test].
 """
+
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -12,10 +14,11 @@ from numba import njit
 from scipy.optimize import linprog
 
 from gonio.errors import CaptureError
-from gonio.kernel.carving.views import SHOWN, Stack
+from gonio.kernel.carving.views import BACKGROUND, SHOWN, Stack
 from gonio.records import Hull
 
 BLOCK = 8
+TANGENTS = 12  # pairs of them around a silhouette
 COARSE = 32
 LEAST_SEEN = 2
 """A voxel counts if no picture denies it and at least as many show the part there: behind other parts nothing is known."""
@@ -51,28 +54,58 @@ def _empty() -> CaptureError:
 
 
 def _bounds(stack: Stack) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Give the box around what the silhouettes' bounding rectangles have in common."""
-    rows = []
-    for P, sums in zip(stack.P, stack.open_sums, strict=True):
-        down, across = (np.flatnonzero(np.diff(edge)) for edge in (sums[:, -1], sums[-1]))
-        left, right, top, bottom = across[0] - 0.5, across[-1] + 0.5, down[0] - 0.5, down[-1] + 0.5
-        rows += [left * P[2] - P[0], P[0] - right * P[2], top * P[2] - P[1], P[1] - bottom * P[2], -P[2]]
-    planes = np.array(rows)
-    planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    """Give the box around what the polygons around the silhouettes have in common.
+
+    Where much is hidden they may leave a space without end. Then each two pictures in turn are taken at what they
+    show alone: a voxel has to be shown by two.
+    """
+    views = range(len(stack.P))
+    wide = [_planes(stack.P[k], stack.codes[k] != BACKGROUND) for k in views]
+    boxes = [_box(np.concatenate(wide))]
+    if boxes[0] is not None and not np.isfinite(boxes[0]).all():
+        narrow = [_planes(stack.P[k], stack.codes[k] == SHOWN) for k in views]
+        boxes = [
+            _box(np.concatenate([narrow[k] if k in pair else wide[k] for k in views]))
+            for pair in combinations(views, LEAST_SEEN)
+        ]
+    found = np.array([box for box in boxes if box is not None])
+    if not len(found):
+        raise _empty()
+    if not np.isfinite(found).all():
+        raise CaptureError(
+            "The silhouettes leave a space without end: all pictures see the part from one side.",
+            hint="Add a picture from another direction; zooming is not enough.",
+            code="hull-unbounded",
+        )
+    return found[:, 0].min(axis=0), found[:, 1].max(axis=0)
+
+
+def _planes(P: Float[np.ndarray, "3 4"], mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "plane 4"]:
+    """Give half-spaces, negative inside, of all that lies before the camera in the polygon of tangents around a mask."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    ends = np.concatenate([np.stack([first, rows], axis=1), np.stack([last, rows], axis=1)])
+    angle = np.pi * np.arange(TANGENTS) / TANGENTS
+    across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    # Half a pixel is the most by which a pixel's centre is off in a direction along u or v, and more between.
+    reach = np.abs(across).sum(axis=1) / 2
+    along = ends @ across.T
+    sides = across @ P[:2]
+    most, least = (along.max(axis=0) + reach)[:, None], (along.min(axis=0) - reach)[:, None]
+    planes = np.concatenate([sides - most * P[2], least * P[2] - sides, -P[2:]])
+    return planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+
+
+def _box(planes: Float[np.ndarray, "plane 4"]) -> Float[np.ndarray, "2 3"] | None:
+    """Give the box around what half-spaces have in common: None if nothing, infinite where it has no end."""
     box = np.zeros((2, 3))
     for axis in range(3):
         for side, sign in enumerate((1.0, -1.0)):
             found = linprog(sign * np.eye(3)[axis], A_ub=planes[:, :3], b_ub=-planes[:, 3], bounds=(None, None))
             if found.status == 2:
-                raise _empty()
-            if found.status != 0 or found.x is None:
-                raise CaptureError(
-                    "The silhouettes leave a space without end: all pictures see the part from one side.",
-                    hint="Add a picture from another direction; zooming is not enough.",
-                    code="hull-unbounded",
-                )
-            box[side, axis] = found.x[axis]
-    return box[0], box[1]
+                return None
+            box[side, axis] = -sign * np.inf if found.status != 0 or found.x is None else found.x[axis]
+    return box
 
 
 def _tightened(
