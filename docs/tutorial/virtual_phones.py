@@ -15,8 +15,8 @@ from gonio.formats.board_card import load_board_card
 from gonio.formats.toml_calibration import write_toml_calibration
 
 folder = Path(sys.argv[1])
-board = load_board_card("charuco_a1").board
-filming = Filming(board=board, poses=100, radius_m=4.5, image_size_px=(1280, 960), focal_px=1000.0)
+board = load_board_card("charuco_a0").board
+filming = Filming(board=board, poses=110, radius_m=4.2, image_size_px=(1280, 960), focal_px=1000.0)
 session = film_board(seed=1, filming=filming)
 write_films(session, folder / "board")
 write_toml_calibration(folder / "board" / "optics.toml", session.rig)
