@@ -1,5 +1,6 @@
 """What can be set from outside, by environment variables ``GONIO_*``. Read by the command line, jobs and http only."""
 
+import hashlib
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
@@ -84,6 +85,12 @@ class Settings(BaseSettings):
     def resolved_database_url(self) -> str:
         """The database's URL with its default filled in."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'gonio.db'}"
+
+    @property
+    def work_dir(self) -> Path:
+        """The folder for work in progress. Each database has one: its workers remove what a dead one left, whose they know."""
+        name = hashlib.sha256(self.resolved_database_url.encode()).hexdigest()[:12]
+        return self.cache_dir / "work" / name
 
     @property
     def resolved_objects_url(self) -> str:

@@ -176,7 +176,7 @@ def test_a_calibration_survives_the_kill_of_its_worker_and_is_the_same(start_lab
     while lab.client.job(job)["started_at"] is None:
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
-    workers = list((lab.settings.cache_dir / "work").iterdir())
+    workers = list(lab.settings.work_dir.iterdir())
     assert len(workers) == 1
     second = start_worker(lab.settings)
     for process in _workers_but(second.pid):

@@ -46,7 +46,7 @@ def test_a_stopped_service_ends_its_worker_and_itself_in_peace(start_lab, captur
     assert lab.process.wait(10) == 0
     with pytest.raises(ProcessLookupError):
         os.kill(journal.worker_pid(), 0)
-    assert list((lab.settings.cache_dir / "work").iterdir()) == []  # it had the time to tidy up
+    assert list(lab.settings.work_dir.iterdir()) == []  # it had the time to tidy up
     assert "Traceback" not in lab.log.read_text()
 
 

@@ -24,6 +24,12 @@ def test_the_environment_is_read_and_an_empty_variable_is_none(monkeypatch, tmp_
     assert settings.data_dir == Path(tmp_path)
 
 
+def test_services_that_share_a_cache_do_not_share_their_work(tmp_path):
+    one, other = (Settings(data_dir=tmp_path / name, cache_dir=tmp_path / "cache") for name in ("one", "other"))
+    assert one.work_dir != other.work_dir
+    assert one.work_dir.parent == other.work_dir.parent == tmp_path / "cache" / "work"
+
+
 def test_nonsense_is_refused():
     with pytest.raises(ValidationError):
         Settings(port=70000)

@@ -110,7 +110,7 @@ class Worker:
         self.desk = Desk()
         self._locks = open_locks(settings)
         self._queue = Queue(settings.resolved_database_url)
-        self._folders = settings.cache_dir / "work"
+        self._folders = settings.work_dir
         self._workshop = Workshop(
             database=Database(self._url),
             store=Store.open(settings.resolved_objects_url, patience_s=STORE_PATIENCE_S),

@@ -67,7 +67,7 @@ REFUSALS = {
     ),
     "background-flat": (
         "the background's points lie in one plane, which does not tell the zoom",
-        "Mark points at different heights and depths too, or give the focal lengths.",
+        "Mark points at different heights and depths too.",
     ),
     "background-camera-static": (
         "the camera only turned or zoomed, so that no depth can be told",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
+from scipy.stats import chi2, trim_mean
 
 from gonio.errors import CaptureError, SolverError
 from gonio.kernel.calibration.board_motion import advance
@@ -24,6 +24,9 @@ from gonio.records import Board, BoardViews, Rig, record
 FEWEST_CORNERS = 4
 """With three, the board that fits them best goes along with their noise."""
 
+TRIMMED = 0.1
+"""This share of the lengths at either end is left out of their means."""
+
 BLOCKS = (6, 8, 10, 14)
 """The recording is cut into so many blocks; more only if a half of it would not hold the cameras together by itself."""
 
@@ -32,12 +35,13 @@ BLOCKS = (6, 8, 10, 14)
 class BoardErrors:
     """How well cameras measure a board: errors against its true squares, and among the cameras.
 
-    Lengths are between neighbouring corners, ``length_rms_m`` their scatter. ``bias`` is their mean error as a share, measured
-    along the sides of the board that fits a frame's corners best: noise across a side makes its own length longer, by
-    ``σ² / 2 l²`` a direction, and would pass for a wrong scale. ``anisotropy`` is how much more that is along the rows than
-    down the columns. ``median_px`` and ``rms_px`` are the cameras' reprojection errors, ``camera_bias_px`` each camera's mean
-    residual (NaN for one that shares no corner). ``noise_px`` is the corners' standard deviation per axis that the residuals
-    show: two cameras leave a point one residual of four, so that theirs look half as large as those of many.
+    Lengths are between neighbouring corners, ``length_rms_m`` their scatter. ``bias`` is their mean error as a share
+    (without the tenth at either end), measured along the sides of the board that fits a frame's corners best: noise across
+    a side makes its own length longer, by ``σ² / 2 l²`` a direction, and would pass for a wrong scale. ``anisotropy`` is
+    how much more that is along the rows than down the columns. ``median_px`` and ``rms_px`` are the cameras' reprojection
+    errors, ``camera_bias_px`` each camera's mean residual (NaN for one that shares no corner). ``noise_px`` is the corners'
+    standard deviation per axis that the residuals show: two cameras leave a point one residual of four, so that theirs look
+    half as large as those of many.
     """
 
     corners: int
@@ -86,10 +90,15 @@ class _Measured:
             rms_px=float(np.sqrt((error_px[seen] ** 2).mean())) if known else np.nan,
             noise_px=_noise_px(self.residual_px, seen) if known else np.nan,
             camera_bias_px=total / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)[:, None],
-            bias=float(every.mean()) if known else np.nan,
-            anisotropy=float(across.mean() - down.mean()) if known else np.nan,
+            bias=_middle(every) if known else np.nan,
+            anisotropy=_middle(across) - _middle(down) if known else np.nan,
             length_rms_m=float(np.sqrt((lengths**2).mean())) * square_m if known else np.nan,
         )
+
+
+def _middle(values: Float[np.ndarray, " value"]) -> float:
+    """Give the mean without the tenth at either end: one corner two pixels off is a tenth of a small square."""
+    return float(trim_mean(values, TRIMMED))
 
 
 def measure_boards(
