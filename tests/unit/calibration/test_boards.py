@@ -127,7 +127,7 @@ def test_noise_is_measured_as_noise_and_not_as_a_wrong_scale(cameras):
     session = film(7, Filming(cameras=cameras, radius_m=2.5 if cameras == 2 else 3.5, still=True, noise_px=1.5))
     errors = measure_boards(session.views, session.rig, np.zeros(cameras), np.arange(120))
     assert errors.noise_px == pytest.approx(1.5, rel=0.1)
-    assert abs(errors.bias) < 0.002
+    assert abs(errors.bias) < 0.004  # over 20 seeds: -0.06 % with a scatter of 0.17 %
     assert errors.length_rms_m > 0.005
 
 

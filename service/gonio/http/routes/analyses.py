@@ -23,6 +23,7 @@ router = APIRouter(prefix="/v1/sessions/{session_id}/analyses", tags=["analyses"
         "calibration-ambiguous",
         "too-few-videos",
         "too-few-cameras",
+        "object-files-missing",
         "idempotency-key-reused",
         "too-many-jobs",
     )
