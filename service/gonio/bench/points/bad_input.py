@@ -44,7 +44,7 @@ def measure_bad_input(bench: Bench) -> None:
     bench.add("bad_dark_second_mm", error_mm, "mm")
     bench.add("bad_dark_second_coverage95_knee_pct", _cover_beside(trial, dark), "%")
     said, error_mm = _go(trial, _knock(trial))
-    named = said.get("camera-moved", "").startswith(f"cam{KNOCKED_CAMERA + 1},")
+    named = said.get("camera-moved", "").startswith(f"cam{KNOCKED_CAMERA + 1};")
     bench.add("bad_moved_camera_said", float(named), "1", at_least=1.0)
     bench.add("bad_moved_camera_mm", error_mm, "mm")
     wild = _spoilt(_spoilt(trial.points, np.s_[1, ::7, ::3], np.inf, None), np.s_[3, :9, 4], None, np.nan)
