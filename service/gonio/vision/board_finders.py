@@ -11,7 +11,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from gonio.errors import InputError
 from gonio.records import Board
@@ -20,9 +20,6 @@ MIN_CORNERS = 6
 GATE_PX, GATE_SQUARES = 4.0, 0.15
 """A corner may lie this far from the plane through the others, whichever is more: 4 pixels, or what a strong lens bends
 within a board that fills the picture."""
-
-SURE_PX, STRAY = 0.5, 4.0
-"""Nor may it lie farther from it than half a pixel and four times as far as the median corner."""
 
 LEAST_WINDOW_PX, SMALL_WINDOW_PX = 3.0, 2
 """OpenCV's window about a corner of a ChArUco board, half its side; and the one that small boards' corners are found in."""
@@ -410,30 +407,12 @@ def gate(
     if H is None:  # pyright: ignore[reportUnnecessaryComparison] - it is, where no four corners agree
         return None
     kept = seen[np.asarray(inliers).ravel() > 0]
-    kept = kept[_agreeing(plane[np.isin(seen, kept)], uv_px[kept])]
     rows, columns = np.divmod(kept, board.corners_across)
     if len(kept) < MIN_CORNERS or len(set(rows)) < 2 or len(set(columns)) < 2:
         return None
     gated = np.full_like(uv_px, np.nan)
     gated[kept] = uv_px[kept]
     return gated if not right_handed or orientation(gated, board) > 0 else None
-
-
-def _agreeing(
-    plane: Float[np.ndarray, "corner 2"], uv_px: Float[np.ndarray, "corner 2"]
-) -> Bool[np.ndarray, " corner"]:
-    """Mark the corners that lie as near to the plane through most of them as most do.
-
-    A corner that was looked for at a wrong place, since the marker beside it is small or blurred, is one or two pixels off,
-    inside the gate and ten times as far as its neighbours.
-    """
-    if len(uv_px) < MIN_CORNERS:
-        return np.ones(len(uv_px), dtype=bool)
-    H, _ = cv2.findHomography(plane, uv_px, cv2.LMEDS)
-    if H is None:  # pyright: ignore[reportUnnecessaryComparison] - it is, where no four corners agree
-        return np.ones(len(uv_px), dtype=bool)
-    off_px = np.linalg.norm(cv2.perspectiveTransform(plane[:, None], H)[:, 0] - uv_px, axis=1)
-    return off_px <= max(SURE_PX, STRAY * float(np.median(off_px)))
 
 
 def _starts_dark(grey: np.ndarray, rows: Float[np.ndarray, "row column 2"]) -> bool:
