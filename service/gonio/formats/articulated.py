@@ -30,7 +30,8 @@ from pydantic import Field, ValidationError
 
 from gonio.errors import InputError
 from gonio.formats.background import BackgroundCard
-from gonio.formats.marks import LengthCard, Strict, bad_marks, read_marks
+from gonio.formats.marks import LengthCard, bad_marks, read_marks
+from gonio.formats.strict import Strict
 from gonio.records import UNKNOWNS, Camera, Floor, JointKind, JointMotion, KnownLength, LocatedPictures, Part
 
 FORMAT = "gonio articulated motion"

@@ -19,7 +19,8 @@ import numpy as np
 from pydantic import Field
 
 from gonio.errors import InputError
-from gonio.formats.marks import LengthCard, Strict, bad_marks, read_marks
+from gonio.formats.marks import LengthCard, bad_marks, read_marks
+from gonio.formats.strict import Strict
 from gonio.records import Background, CameraHeight, KnownLength, Lens
 
 PRINCIPAL_SD, K1_SD = 0.01, 0.03

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from gonio.errors import InputError
+from gonio.formats.strict import Strict
 from gonio.records import (
     INTRINSIC_NAMES,
     UNKNOWNS,
@@ -41,11 +42,7 @@ Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class OpticsDocument(_Strict):
+class OpticsDocument(Strict):
     """How a camera's optics were found before the rig was solved: its prior."""
 
     model: LensModel
@@ -60,7 +57,7 @@ class OpticsDocument(_Strict):
     covered: list[list[bool]] = Field(description="4 rows of 6 cells of the picture: where corners were seen.")
 
 
-class CameraDocument(_Strict):
+class CameraDocument(Strict):
     """One camera. Pixels are counted from the centre of the top-left one; the lens is OpenCV's (k1, k2, p1, p2, k3)."""
 
     name: str
@@ -76,7 +73,7 @@ class CameraDocument(_Strict):
     optics: OpticsDocument
 
 
-class LabDocument(_Strict):
+class LabDocument(Strict):
     """Where the lab is: X is forward, Y up, the origin on the floor."""
 
     source: LabSource
@@ -85,7 +82,7 @@ class LabDocument(_Strict):
     tilt_sd_rad: float | None
 
 
-class VolumeDocument(_Strict):
+class VolumeDocument(Strict):
     """The volume that the board was swept through, and the error to expect of a point in it (rms)."""
 
     lower_lab_m: Three
@@ -93,7 +90,7 @@ class VolumeDocument(_Strict):
     error_m: float | None
 
 
-class JudgementDocument(_Strict):
+class JudgementDocument(Strict):
     """A criterion's measured value, and up to where it is accepted, or accepted with a warning."""
 
     name: str
@@ -104,14 +101,14 @@ class JudgementDocument(_Strict):
     where: str
 
 
-class VerdictDocument(_Strict):
+class VerdictDocument(Strict):
     """Whether the calibration may be used: the worst of its judgements."""
 
     level: Level
     judgements: list[JudgementDocument]
 
 
-class FindingDocument(_Strict):
+class FindingDocument(Strict):
     """Something that whoever uses the calibration should know, in words, and what to do about it."""
 
     code: str
@@ -126,7 +123,7 @@ class FindingDocument(_Strict):
     joint: str = Field(default="", description="Always empty: a board has none.")
 
 
-class CalibrationDocument(_Strict):
+class CalibrationDocument(Strict):
     """A calibrated rig."""
 
     format: Literal["gonio calibration"]
@@ -142,7 +139,7 @@ class CalibrationDocument(_Strict):
     lab: LabDocument
     volume: VolumeDocument
     verdict: VerdictDocument
-    findings: list[FindingDocument] = []
+    findings: list[FindingDocument] = Field(default=[])
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:

@@ -3,16 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from gonio.formats.strict import Strict
 
 FORMAT = "gonio carved parts"
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class CarvedPartDocument(_Strict):
+class CarvedPartDocument(Strict):
     """One part."""
 
     part: str
@@ -26,7 +24,7 @@ class CarvedPartDocument(_Strict):
     files: list[str]
 
 
-class CarvingFinding(_Strict):
+class CarvingFinding(Strict):
     """What a reader has to know; docs/reference/findings.md explains the code."""
 
     code: str
@@ -38,7 +36,7 @@ class CarvingFinding(_Strict):
     unit: str
 
 
-class CarvingDocument(_Strict):
+class CarvingDocument(Strict):
     """All parts that were carved, and the files of the whole body as each picture shows it."""
 
     format: str = FORMAT

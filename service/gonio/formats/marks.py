@@ -6,15 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from gonio.errors import InputError
-
-
-class Strict(BaseModel):
-    """Documents say nothing that we would not understand."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+from gonio.formats.strict import Strict
 
 
 class LengthCard(Strict):
