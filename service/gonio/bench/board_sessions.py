@@ -27,6 +27,11 @@ BOARD = Board(name="virtual 7 × 5", kind="charuco", corners_across=7, corners_d
 PRIOR_SD = np.array([0.005, 0.0, 3.0, 3.0, 0.04, 0.07, 0.0, 0.0, 0.0])
 """How far a separate calibration of the lenses is off: focal length (a share), centre (px), k1, k2."""
 
+VOLUME_LAB_M = np.stack(np.meshgrid([-1.5, 0, 1.5], [0.1, 0.9, 1.7], [-1.5, 0, 1.5], indexing="ij"), axis=-1).reshape(
+    -1, 3
+)
+"""27 points in the volume that subjects walk through."""
+
 PX_PER_SQUARE = 80
 EDGE_PX = 4
 STEEPEST_RAD = np.deg2rad(70.0)
@@ -254,7 +259,7 @@ def volume_error_mm(cameras: tuple[Camera, ...], truth: Rig) -> float:
 
     After the best rigid alignment, without scale: the frame is a matter of its own.
     """
-    grid = np.stack(np.meshgrid([-1.5, 0, 1.5], [0.1, 0.9, 1.7], [-1.5, 0, 1.5], indexing="ij"), -1).reshape(-1, 3)
+    grid = VOLUME_LAB_M
     uv_px, projections = [], []
     for found, true in zip(cameras, truth.cameras, strict=True):
         pixels = project(true, grid)

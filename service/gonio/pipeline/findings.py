@@ -112,7 +112,8 @@ KINDS: dict[str, Kind] = {
         "warning",
         "verdict",
         "In pictures that were not used, the cameras miss the board's corners by {value:.2f} px in the median.",
-        "Light the room, move the board slowly, use a short exposure, and check that the board is flat.",
+        "Light the room, move the board slowly, use a short exposure, and check that the board is flat. For photographs, hold "
+        "it still until all cameras have taken theirs.",
         "px",
     ),
     "calibration-biased": Kind(
@@ -146,14 +147,14 @@ KINDS: dict[str, Kind] = {
     "board-views-few": Kind(
         "warning",
         "verdict",
-        "Camera {where} saw the board in {value:g} pictures.",
+        "Too few pictures of camera {where} show the board: {value:g}.",
         "Film the board in front of this camera for ten seconds.",
         "pictures",
     ),
     "cameras-share-few": Kind(
         "warning",
         "verdict",
-        "Cameras {where} saw the board together in {value:g} pictures only.",
+        "Too few pictures of cameras {where} show the board to both: {value:g}.",
         "Film the board for ten seconds where these two pictures overlap.",
         "pictures",
     ),

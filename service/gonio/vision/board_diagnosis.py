@@ -92,7 +92,7 @@ def _other_checkerboard(pictures: Sequence[Grey], sizes: Sequence[tuple[int, int
 
 def _nothing(board: Board, who: str) -> CaptureError:
     return CaptureError(
-        f"The board {board.name} was found in no picture of {who}.",
+        f"The board of the card {board.name} was found in no picture of {who}.",
         hint="Film it closer, in even light and without reflections, all of it in view; check that the card is the right one.",
         code="board-not-found",
     )
