@@ -5,18 +5,22 @@ On SQLite with a folder, and on PostgreSQL with an S3 server; both are started h
 
 import os
 import random
+import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import av
 import numpy as np
 
 from gonio.bench import Bench, servers
-from gonio.bench.service_house import House, kill_at_random, open_house
-from gonio.bench.service_load import cut_at_random, load, p99_s
+from gonio.bench.service_house import House, Kills, kill_at_random, open_house
+from gonio.bench.service_load import Cuts, Load, cut_at_random, load, p99_s
 from gonio.bench.service_outage import Server, outage
 from gonio.errors import ResourceError
 from gonio.settings import Settings
@@ -32,10 +36,23 @@ _CAMERA = (
 )
 
 
-def run(_build_dir: Path) -> dict[str, Any]:
-    """Measure everything; takes about half an hour. ``GONIO_BENCH_SHARE=0.1`` does a tenth of the counts."""
+@dataclass
+class Seen:
+    """What came of the kills, the cuts and the load; of one database, or of all."""
+
+    kills: list[Kills] = field(default_factory=list)
+    cuts: list[Cuts] = field(default_factory=list)
+    loads: list[Load] = field(default_factory=list)
+
+
+def run(build_dir: Path) -> dict[str, Any]:
+    """Measure everything; takes about an hour. ``GONIO_BENCH_SHARE=0.1`` does a tenth of the counts.
+
+    Metrics that end in the name of a database are of that one, the same without it of both.
+    """
     bench = Bench("service")
     share = float(os.environ.get("GONIO_BENCH_SHARE", "1"))
+    everything = Seen()
     for kind in ("sqlite", "postgres"):
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gonio-bench-")))
@@ -45,15 +62,17 @@ def run(_build_dir: Path) -> dict[str, Any]:
                 try:
                     postgres, bucket = stack.enter_context(servers.postgres()), stack.enter_context(servers.bucket())
                 except ResourceError as error:
-                    bench.leave_out("PostgreSQL and S3", error)
+                    bench.leave_out("*_postgres", error)
                     continue
                 url, objects, environment = postgres.new_database(), bucket.url, bucket.environment
-                outages = {"database down": postgres, "store down": bucket}
+                outages = {"database": postgres, "store": bucket}
             settings = make_settings(folder, url, objects)
             with open_house(settings, folder, environment) as house:
-                _measure(bench, kind, house, make_capture(folder), share)
+                _measure(bench, kind, house, make_capture(folder), share, everything)
                 for name, server in outages.items():
                     _outage(bench, name, house, server, make_capture(folder))
+    _report(bench, "", everything)
+    _measure_hostile(bench, build_dir)
     return bench.to_json()
 
 
@@ -90,37 +109,68 @@ def make_capture(folder: Path) -> list[Path]:
     return paths
 
 
-def _measure(bench: Bench, kind: str, house: House, capture: list[Path], share: float) -> None:
+def _measure(bench: Bench, kind: str, house: House, capture: list[Path], share: float, everything: Seen) -> None:
     dice = random.Random(8)  # noqa: S311 - no secret
     kills = kill_at_random(house, capture, max(round(KILLS * share), 4), dice)
-    bench.add(f"{kind}: kills", sum(kills.kills.values()), "")
-    bench.add(f"{kind}: jobs lost", kills.lost, "", at_most=0)
-    bench.add(f"{kind}: reports different", kills.different, "", at_most=0)
-    bench.add(f"{kind}: reports too many", kills.surplus_reports, "", at_most=0)
-    bench.add(f"{kind}: finished stages repeated", kills.repeated_stages, "", at_most=0)
-    bench.add(f"{kind}: take-over, median", float(np.median(kills.takeover_s)), "s")
-    bench.add(f"{kind}: take-over, longest", max(kills.takeover_s), "s")
     bench.notes.append(f"{kind}: killed {_told(kills.kills)}; the journal then stood at {_told(kills.stages)}.")
     cuts = cut_at_random(house, capture[-1], house.folder, max(round(CUTS * share), 4), dice)
-    bench.add(f"{kind}: uploads", cuts.uploads, "")
-    bench.add(f"{kind}: cuts of uploads", cuts.cuts, "")
-    bench.add(f"{kind}: kills of the API under uploads", cuts.server_kills, "")
-    bench.add(f"{kind}: hashes wrong", cuts.wrong, "", at_most=0)
     seen = load(house, capture, house.folder, LOAD_S, POLLERS, dice)
-    bench.add(f"{kind}: polls", len(seen.poll_s), "")
-    bench.add(f"{kind}: poll, 99th percentile", 1000 * p99_s(seen.poll_s), "ms")
-    bench.add(f"{kind}: the same before the uploads", 1000 * p99_s(seen.quiet_poll_s), "ms")
-    bench.add(f"{kind}: upload throughput over copy and hash", seen.share_of_copy, "")
-    bench.add(f"{kind}: errors under load", seen.errors, "", at_most=0)
+    _report(bench, f"_{kind}", Seen([kills], [cuts], [seen]))
+    everything.kills.append(kills)
+    everything.cuts.append(cuts)
+    everything.loads.append(seen)
+
+
+def _report(bench: Bench, of: str, seen: Seen) -> None:
+    takeover_s = [second for kills in seen.kills for second in kills.takeover_s]
+    bench.add(f"kill_runs{of}", sum(sum(kills.kills.values()) for kills in seen.kills), "kills")
+    bench.add(f"jobs_lost{of}", sum(kills.lost for kills in seen.kills), "jobs", at_most=0)
+    bench.add(f"reports_different{of}", sum(kills.different for kills in seen.kills), "reports", at_most=0)
+    bench.add(f"duplicate_reports{of}", sum(kills.surplus_reports for kills in seen.kills), "reports", at_most=0)
+    bench.add(f"repeated_stages{of}", sum(kills.repeated_stages for kills in seen.kills), "stages", at_most=0)
+    bench.add(f"takeover_median_s{of}", float(np.median(takeover_s)), "s")
+    bench.add(f"takeover_max_s{of}", max(takeover_s), "s")
+    bench.add(f"uploads{of}", sum(cuts.uploads for cuts in seen.cuts), "uploads")
+    bench.add(f"upload_cuts{of}", sum(cuts.cuts for cuts in seen.cuts), "cuts")
+    bench.add(f"upload_server_kills{of}", sum(cuts.server_kills for cuts in seen.cuts), "kills")
+    bench.add(f"upload_bad_hashes{of}", sum(cuts.wrong for cuts in seen.cuts), "uploads", at_most=0)
+    bench.add(f"polls{of}", sum(len(each.poll_s) for each in seen.loads), "polls")
+    bench.add(f"poll_p99_ms{of}", 1000 * max(p99_s(each.poll_s) for each in seen.loads), "ms")
+    bench.add(f"poll_p99_ms_without_uploads{of}", 1000 * max(p99_s(each.quiet_poll_s) for each in seen.loads), "ms")
+    bench.add(f"upload_vs_copy{of}", min(each.share_of_copy for each in seen.loads), "1")
+    bench.add(f"server_errors_5xx{of}", sum(each.errors for each in seen.loads), "answers", at_most=0)
 
 
 def _outage(bench: Bench, name: str, house: House, server: Server, capture: list[Path]) -> None:
     seen = outage(house, server, capture, OUTAGE_S)
-    bench.add(f"{name}: job succeeded", float(seen.ended_as == "succeeded"), "", at_least=1)
+    bench.add(f"outage_{name}_job_succeeded", float(seen.ended_as == "succeeded"), "", at_least=1)
     # Beside the outage's own length: two stages of it, the first of which it met.
-    bench.add(f"{name}: job ended after its return, over the length of a stage", seen.ended_after_s / OUTAGE_S, "")
-    bench.add(f"{name}: unclear answers", seen.unclear, "", at_most=0)
-    bench.notes.append(f"{name}: answers for {OUTAGE_S:.0f} s: {_told(seen.answers)}.")
+    bench.add(f"outage_{name}_job_ended_after_over_stage", seen.ended_after_s / OUTAGE_S, "1")
+    bench.add(f"outage_{name}_unclear_answers", seen.unclear, "answers", at_most=0)
+    bench.notes.append(f"outage of the {name}: answers for {OUTAGE_S:.0f} s: {_told(seen.answers)}.")
+
+
+def _measure_hostile(bench: Bench, build_dir: Path) -> None:
+    """Count the hostile inputs that the tests send to a running service, and those that are not refused as they should be."""
+    tests = Path(__file__).parents[3] / "tests" / "service" / "test_hostile.py"
+    if not tests.is_file():
+        where = ResourceError(
+            f"The hostile inputs are in {tests}, which is not here.",
+            hint="Run the bench in a checkout of gonio.",
+            code="tests-missing",
+        )
+        bench.leave_out("hostile_*", where)
+        return
+    told = (build_dir / "hostile.xml").resolve()
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junit-xml={told}", str(tests)]
+    subprocess.run(command, cwd=tests.parents[2], stdout=subprocess.DEVNULL, check=False)  # noqa: S603 - our own tests
+    suites = ElementTree.parse(told).getroot().iter("testsuite")  # noqa: S314 - pytest wrote it just now
+    counts = [
+        {word: int(suite.get(word, 0)) for word in ("tests", "failures", "errors", "skipped")} for suite in suites
+    ]
+    bench.add("hostile_inputs", sum(each["tests"] - each["skipped"] for each in counts), "inputs")
+    failed = sum(each["failures"] + each["errors"] for each in counts)
+    bench.add("hostile_inputs_failed", failed, "inputs", at_most=0)
 
 
 def _told(counts: Mapping[str, int]) -> str:
