@@ -38,7 +38,8 @@ SOLE_SHARE = 0.05
 
 LEAST_SOLE_HZ = 50.0
 """Slower soles are left aside: a load begins anywhere between two samples, and a foot that leaves the ground hardly presses
-for its last 20 to 60 ms. In the virtual laboratory, at 20 Hz, the movement alone is within 9 ms, the soles up to 60 ms off."""
+for its last 20 to 60 ms. In twenty virtual people with soles of 20 Hz, with the clock as found, the trial's mean instant of
+5 to 20 % of the weight differs from person to person by 10 ms (contact) and 9 to 14 ms (toe-off), the movement's by 4 and 3."""
 
 FEW_CYCLES = 3
 """With fewer of a side, the average says little about how someone usually walks."""

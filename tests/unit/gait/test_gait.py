@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from gonio.formats.osim import read_osim
 from gonio.kernel.gait.cycles import average, cut_cycles, leave_out_odd, normalise
-from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse
+from gonio.kernel.gait.events import events_from_force, events_from_movement, fuse, steady
 from gonio.kernel.gait.parameters import measure_gait, symmetry_index_percent
 from gonio.kernel.gait.paths import bridge_gaps, foot_paths
 from gonio.kernel.gait.phases import phase_bounds
@@ -67,7 +67,9 @@ def _turned(paths: FootPaths, yaw_rad: float, drift_m_s: float = 0.0) -> FootPat
     )
 
 
-def _errors_frames(events: GaitEvents, truth: WalkTruth) -> tuple[list[float], int]:
+def _errors_frames(
+    events: GaitEvents, truth: WalkTruth, edges_s: tuple[float, float] = (0.2, 0.3)
+) -> tuple[list[float], int]:
     """How far found events are from the nearest true ones, and how many true ones well inside the trial were missed."""
     errors: list[float] = []
     missed = 0
@@ -77,17 +79,64 @@ def _errors_frames(events: GaitEvents, truth: WalkTruth) -> tuple[list[float], i
             (events.lifts[foot].frames, truth.events[foot].lift_frames),
         ):
             errors += [float(f - true[np.argmin(np.abs(true - f))]) for f in found]
-            inside = true[(true > 0.2 * RATE_HZ) & (true < len(truth.times_s) - 0.3 * RATE_HZ)]
+            inside = true[(true > edges_s[0] * RATE_HZ) & (true < len(truth.times_s) - 1 - edges_s[1] * RATE_HZ)]
             missed += sum(np.min(np.abs(found - t), initial=np.inf) > 0.1 * RATE_HZ for t in inside)
     return errors, missed
 
 
 def test_events_from_movement(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:
     _, truth, paths = trial
-    errors, missed = _errors_frames(events_from_movement(paths, find_bouts(paths)), truth)
+    errors, missed = _errors_frames(events_from_movement(paths, find_bouts(paths)), truth, (0.1, 0.1))
     assert missed == 0
     # One frame at 60 Hz is 17 ms; measured: 11 ms at most.
     assert np.max(np.abs(errors)) < 1.0
+
+
+@pytest.mark.parametrize("from_frame", [0, 15, 40, 65])
+def test_a_stride_that_the_recording_cuts_shows_its_event(
+    trial: tuple[Walk, WalkTruth, FootPaths], from_frame: int
+) -> None:
+    """Wherever a recording of 1.5 s begins, events more than 0.1 s from its ends are found, once, and no others are."""
+    _, truth, paths = trial
+    part = slice(from_frame, from_frame + 90)
+    cut = replace(
+        paths,
+        heel_lab_m=paths.heel_lab_m[part],
+        toe_lab_m=paths.toe_lab_m[part],
+        pelvis_lab_m=paths.pelvis_lab_m[part],
+    )
+    events = events_from_movement(cut, find_bouts(cut))
+    for foot in (0, 1):
+        for found, true in (
+            (events.strikes[foot].frames, truth.events[foot].strike_frames),
+            (events.lifts[foot].frames, truth.events[foot].lift_frames),
+        ):
+            apart = np.abs(true[:, None] - from_frame - found)
+            inner = (true - from_frame > 0.1 * RATE_HZ) & (true - from_frame < 89 - 0.1 * RATE_HZ)
+            assert np.all(apart[inner].min(axis=1, initial=np.inf) < 1.0)
+            assert np.all(apart.min(axis=0) < 1.0)
+            assert len(found) <= np.sum((true > from_frame - 1) & (true < from_frame + 90))
+
+
+def test_a_trials_strides_calibrate_each_other() -> None:
+    """Exact instants scatter by 0.5 frames about the reach + 6: what is left is the reach's own, and a limp stays."""
+    rng = np.random.default_rng(3)
+    reach = 20.0 + 100.0 * np.arange(40)
+    noisy = [np.column_stack([reach + 6.0 + 0.5 * rng.standard_normal(40), reach]) for _ in (0, 1)]
+    noisy[0][4, 0] = np.nan
+    for found in steady(noisy[0], noisy[1], 100.0):
+        # The mean of 79 is known to 0.5/√79 = 0.06; it is the same for all.
+        assert_allclose(found, reach + 6.0, atol=0.2)
+        assert_allclose(np.diff(found), 100.0)
+    limping = noisy[1] + [2.0, 0.0]
+    right, left = steady(noisy[0], limping, 100.0)
+    assert_allclose(left.mean() - right.mean(), 2.0, atol=0.4)
+    # With an event of each foot nothing tells a limp from noise but the noise's usual size, 0.45 frames.
+    right, left = steady(np.array([[26.0, 20.0]]), np.array([[76.5, 70.0]]), 100.0)
+    assert_allclose([*right, *left], [26.25, 76.25])
+    nothing = np.empty((0, 2))
+    assert steady(nothing, nothing, 100.0)[0].size == 0
+    assert_allclose(steady(np.array([[np.nan, 50.0]]), nothing, 100.0)[0], [50.0])
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 77.0, 180.0])
