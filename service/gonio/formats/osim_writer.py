@@ -157,9 +157,8 @@ def _put_offset(element: Element, location: str, orientation: str, T: Float[np.n
     """Write a fixed offset; an orientation that has not changed keeps its own digits."""
     _put(element, location, T[:3, 3])
     given = Rotation.from_euler("XYZ", [float(word) for word in text(element, orientation, "0 0 0").split()])
-    wanted = Rotation.from_matrix(T[:3, :3])
-    if (given.inv() * wanted).magnitude() > 1e-9:
-        _put(element, orientation, wanted.as_euler("XYZ"))
+    if np.abs(given.as_matrix() - T[:3, :3]).max() > 1e-9:
+        _put(element, orientation, Rotation.from_matrix(T[:3, :3]).as_euler("XYZ"))
 
 
 def _put(element: Element, tag: str, values: "list[float] | tuple[float, ...] | np.ndarray") -> None:

@@ -5,35 +5,23 @@ coordinates [Brown 1971; OpenCV, "Camera Calibration and 3D Reconstruction"].
 """
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float
+from numba import njit
 
 from gonio.records import Camera, Rig
+
+Array = npt.NDArray[np.float64]
 
 
 def distort(
     xy: Float[np.ndarray, "*batch 2"], distortion: Float[np.ndarray, "5"]
 ) -> tuple[Float[np.ndarray, "*batch 2"], Float[np.ndarray, "*batch 2 2"]]:
     """Distort normalized image coordinates; gives the distorted ones and the 2 × 2 Jacobian. NaN stays NaN."""
-    k1, k2, p1, p2, k3 = distortion
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))  # d(radial)/d(r2) times 2, so that d(radial)/dx = slope * x
-    distorted = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-    cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
-    jacobian = np.stack(
-        [
-            np.stack([radial + slope * x * x + 2 * p1 * y + 6 * p2 * x, cross], axis=-1),
-            np.stack([cross, radial + slope * y * y + 6 * p1 * y + 2 * p2 * x], axis=-1),
-        ],
-        axis=-2,
-    )
+    distorted, jacobian = np.empty(xy.shape), np.empty((*xy.shape, 2))
+    # Copies, which are contiguous and writable whatever was given: numba compiles one signature.
+    points, flat = xy.reshape(-1, 2).astype(float), distorted.reshape(-1, 2)
+    _distort_all(points, distortion.astype(float), flat, jacobian.reshape(-1, 2, 2))
     return distorted, jacobian
 
 
@@ -44,23 +32,56 @@ def normalize(camera: Camera, uv_px: Float[np.ndarray, "*batch 2"]) -> Float[np.
     the lens model folds over (its Jacobian is singular, far outside the image) the result is NaN, never a wrong point.
     """
     inverse = np.linalg.inv(camera.intrinsic_px)
-    target = uv_px @ inverse[:2, :2].T + inverse[:2, 2]
-    xy = target.copy()
-    error = np.full(xy.shape[:-1], np.inf)
-    for _ in range(20):
-        distorted, jacobian = distort(xy, camera.distortion)
-        difference = distorted - target
-        error = np.abs(difference).max(axis=-1)
-        if not np.any(error > 1e-12):
-            break
-        determinant = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step_x = (jacobian[..., 1, 1] * difference[..., 0] - jacobian[..., 0, 1] * difference[..., 1]) / determinant
-            step_y = (jacobian[..., 0, 0] * difference[..., 1] - jacobian[..., 1, 0] * difference[..., 0]) / determinant
-        step = np.stack([step_x, step_y], axis=-1)
-        # A step longer than the image is wide leaves the region where the model means anything.
-        xy = np.where(np.abs(step).max(axis=-1, keepdims=True) < 2.0, xy - step, np.nan)
-    return np.where((error < 1e-9)[..., None], xy, np.nan)
+    xy = uv_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
+    _straighten_all(xy, camera.distortion.copy())
+    return xy.reshape(uv_px.shape)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distort_point(x: float, y: float, distortion: Array) -> tuple[float, float, float, float, float]:
+    """Distort one point; also give the Jacobian's diagonal and what stands beside it: it is symmetric."""
+    k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))  # d(radial)/d(r2) times 2, so that d(radial)/dx = slope * x
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+        slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distort_all(xy: Array, distortion: Array, distorted: Array, jacobian: Array) -> None:
+    """Fill the distorted points (point, 2) and their Jacobians (point, 2, 2)."""
+    for i in range(len(xy)):
+        u, v, by_x, by_y, cross = _distort_point(xy[i, 0], xy[i, 1], distortion)
+        distorted[i, 0], distorted[i, 1] = u, v
+        jacobian[i, 0, 0], jacobian[i, 1, 1] = by_x, by_y
+        jacobian[i, 0, 1] = jacobian[i, 1, 0] = cross
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _straighten_all(points: Array, distortion: Array) -> None:
+    """Replace distorted points (point, 2) by those that the lens distorts so, NaN where there is none."""
+    for target in points:
+        x, y, error = target[0], target[1], np.inf
+        for _ in range(20):
+            u, v, by_x, by_y, cross = _distort_point(x, y, distortion)
+            u, v = u - target[0], v - target[1]
+            error = max(abs(u), abs(v))
+            if not error > 1e-12:
+                break
+            determinant = by_x * by_y - cross * cross
+            step_x, step_y = (by_y * u - cross * v) / determinant, (by_x * v - cross * u) / determinant
+            # A step longer than the image is wide leaves the region where the model means anything.
+            if not max(abs(step_x), abs(step_y)) < 2.0:
+                error = np.nan
+                break
+            x, y = x - step_x, y - step_y
+        target[0], target[1] = (x, y) if error < 1e-9 else (np.nan, np.nan)
 
 
 def undistort(camera: Camera, uv_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

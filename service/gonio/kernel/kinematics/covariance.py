@@ -26,7 +26,6 @@ from gonio.kernel.kinematics.newton import (
     is_seen,
     linearise,
     make_workspace,
-    substitute,
 )
 from gonio.kernel.parallel import over_blocks
 from gonio.records import TOO_FEW_MARKERS, BodyModel, Motion, Tasks
@@ -103,7 +102,7 @@ def _propagate(
     """Fill the covariance (coordinate, coordinate) of one frame."""
     linearise(problem, observed, weights, q, True, work)
     count = 0
-    for c in range(len(q)):
+    for c in range(len(q) - 1, -1, -1):  # distal ones first, as ``factorise`` has them
         if problem.coordinates[c].movable and work.unknowns[c].scale > 0.0:
             work.free[count] = c
             count += 1
@@ -111,24 +110,41 @@ def _propagate(
         linearise(problem, observed, weights, q, False, work)
         if not factorise(count, 0.0, work):
             return  # a direction that nothing holds: NaN
-    middle = _perturb(problem, observed, noise, weights, target_variance, work)
-    for _ in range(2):  # H⁻¹ middle, then H⁻¹ of its transpose: middle is symmetric
-        for column in range(count):
-            for row in range(count):
-                work.column[row] = middle[work.free[row], work.free[column]]
-            substitute(count, work)
-            for row in range(count):
-                middle[work.free[row], work.free[column]] = work.column[row]
-        middle = middle.T.copy()
-    is_free = np.zeros(len(q), dtype=np.bool_)
-    for k in range(count):
-        is_free[work.free[k]] = True
+    noisy = _perturb(problem, observed, noise, weights, target_variance, work)
+    place, middle = np.full(len(q), -1), np.empty((count, count))
+    for a in range(count):
+        place[work.free[a]] = a
+        for b in range(count):
+            middle[a, b] = noisy[work.free[a], work.free[b]]
+    _substitute_rows(work.factor, middle)
+    middle = middle.T.copy()  # H⁻¹ middle was that, and what stands in the middle is symmetric
+    _substitute_rows(work.factor, middle)
     couplings, pose = problem.tree.couplings, work.coordinates
     for a in range(len(q)):
         for b in range(len(q)):
-            first, second = couplings[a].driver, couplings[b].driver
-            known = is_free[first] and is_free[second]
+            first, second = place[couplings[a].driver], place[couplings[b].driver]
+            known = first >= 0 and second >= 0
             covariance[a, b] = pose[a].first * pose[b].first * middle[first, second] if known else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _substitute_rows(U: Array, right: Array) -> None:
+    """Replace many right sides, side by side, by the solutions of UᵀU x = right; what is 0 in U is skipped."""
+    count, columns = right.shape
+    for i in range(count):
+        for r in range(columns):
+            right[i, r] /= U[i, i]
+        for k in range(i + 1, count):
+            if U[i, k] != 0.0:
+                for r in range(columns):
+                    right[k, r] -= U[i, k] * right[i, r]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            if U[i, k] != 0.0:
+                for r in range(columns):
+                    right[i, r] -= U[i, k] * right[k, r]
+        for r in range(columns):
+            right[i, r] /= U[i, i]
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,9 +9,6 @@ from scipy.interpolate import make_interp_spline
 
 from gonio.records import TOO_FEW_MARKERS, Motion
 
-_NATURAL: Any = ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)])  # Any: what scipy is annotated with knows no derivatives
-
-
 _BLOCK = 1024  # frames whose covariances are interpolated at a time: a long trial's are the largest array there is
 
 
@@ -30,10 +27,15 @@ def resample(motion: Motion, times_s: Float[np.ndarray, " frame"]) -> Motion:
     step_s = np.diff(motion.times_s)[after - 1]
     share = np.clip(np.round((times_s - motion.times_s[after - 1]) / step_s, 6), 0.0, 1.0)
     known = np.isfinite(motion.values)
+    some = np.flatnonzero(known.any(axis=0))
+    filled = motion.values[:, some].copy()
+    for column, at in zip(filled.T, known[:, some].T, strict=True):
+        if not at.all():
+            column[:] = np.interp(motion.times_s, motion.times_s[at], column[at])
     values = np.full((len(times_s), motion.values.shape[1]), np.nan)
-    for column in np.flatnonzero(known.any(axis=0)):
-        filled = np.interp(motion.times_s, motion.times_s[known[:, column]], motion.values[known[:, column], column])
-        values[:, column] = make_interp_spline(motion.times_s, filled, k=5, bc_type=_NATURAL)(times_s)
+    none = np.zeros(len(some))
+    natural: Any = ([(3, none), (4, none)],) * 2  # Any: what scipy is annotated with knows no derivatives
+    values[:, some] = make_interp_spline(motion.times_s, filled, k=5, bc_type=natural)(times_s)
     # A frame that is not moved needs no neighbour.
     first, second = np.where(share == 1.0, after, after - 1), np.where(share == 0.0, after - 1, after)
     values[~(known[first] & known[second])] = np.nan

@@ -10,7 +10,7 @@ from numba import njit
 from gonio.kernel.body.tree import Array
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def factorise(band: Array) -> bool:
     """Replace a band by its Cholesky factor's; False if the matrix is not positive definite."""
     rows, width = band.shape
@@ -29,7 +29,7 @@ def factorise(band: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def substitute(factor: Array, right: Array) -> None:
     """Solve with a factor, in place."""
     rows, width = factor.shape
@@ -45,7 +45,7 @@ def substitute(factor: Array, right: Array) -> None:
         right[i] = entry / factor[i, 0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def invert_within(factor: Array, inverse: Array) -> None:
     """Fill the entries of the inverse that lie within the band."""
     rows, width = factor.shape

@@ -126,11 +126,13 @@ def _inflation(
     """
     keypoints = xyz_lab_m.shape[1]
     chosen = np.arange(0, len(xyz_lab_m), max(1, len(xyz_lab_m) // MOST_JUDGED))
-    homogeneous = np.einsum("cij,fkj->cfki", projections[..., :3], xyz_lab_m) + projections[:, None, None, :, 3]
+    homogeneous = xyz_lab_m @ projections[:, None, :, :3].swapaxes(-2, -1) + projections[:, None, None, :, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         error = (uv_px - homogeneous[..., :2] / homogeneous[..., 2:]) * np.sqrt(weight)[..., None] / SIGMA_PX
     inlier = (kept > KEPT) & ((kept > KEPT).sum(axis=0) >= 2)
     last = repeats(np.where(inlier[..., None], error, 0.0), inlier)
+    single = _single_moment_m2(projections, homogeneous[:, chosen], (weight * kept)[:, chosen])
+    fused = np.trace(covariance_m2[chosen], axis1=2, axis2=3)
     factor = np.ones(keypoints)
     for k in range(keypoints):
         seen = inlier[..., k]
@@ -138,11 +140,9 @@ def _inflation(
             continue
         cameras = seen.sum() / seen.any(axis=0).sum()
         level = np.median((error[:, :, k][seen] ** 2).sum(axis=-1)) / 1.386  # half of all |e|² of two normals lie below
-        moments = chosen[seen[:, chosen].any(axis=0)]
-        single = _single_moment_m2(projections, homogeneous[:, moments, k], (weight * kept)[:, moments, k])
-        fused = np.trace(covariance_m2[moments, k], axis1=1, axis2=2)
-        if len(moments):
-            most = max(1.0, float(np.median(single / fused)))
+        judged = seen[:, chosen].any(axis=0)
+        if judged.any():
+            most = max(1.0, float(np.median((single / fused)[judged, k])))
             lasting = float(np.clip(last, 1.0, most))
             factor[k] = level * lasting * 2.0 * cameras / (2.0 * cameras - 3.0 * lasting / most)
     return factor
@@ -150,17 +150,16 @@ def _inflation(
 
 def _single_moment_m2(
     projections: Float[np.ndarray, "camera 3 4"],
-    homogeneous: Float[np.ndarray, "camera moment 3"],
-    weight: Float[np.ndarray, "camera moment"],
-) -> Float[np.ndarray, " moment"]:
-    """Give the variance (its trace) that a point would have from one moment's observations alone."""
-    slope = (
-        projections[:, None, :2, :3]
-        - (homogeneous[..., :2] / homogeneous[..., 2:])[..., None] * projections[:, None, 2:, :3]
-    )
-    slope /= homogeneous[..., 2:, None]
-    information = np.einsum("cm,cmai,cmaj->mij", weight / SIGMA_PX**2, slope, slope) + LOWEST_INFORMATION * np.eye(3)
-    return np.trace(np.linalg.inv(information), axis1=1, axis2=2)
+    homogeneous: Float[np.ndarray, "camera moment keypoint 3"],
+    weight: Float[np.ndarray, "camera moment keypoint"],
+) -> Float[np.ndarray, "moment keypoint"]:
+    """Give the variance (its trace) that points would have from one moment's observations alone; NaN for what is nowhere."""
+    P = projections[:, None, None]
+    slope = P[..., :2, :3] - (homogeneous[..., :2] / homogeneous[..., 2:])[..., None] * P[..., 2:, :3]
+    slope *= np.sqrt(weight)[..., None, None] / (SIGMA_PX * homogeneous[..., 2:, None])
+    rows = np.moveaxis(slope, 0, 2).reshape(*weight.shape[1:], -1, 3)  # of all cameras
+    information = rows.swapaxes(-2, -1) @ rows + LOWEST_INFORMATION * np.eye(3)
+    return np.trace(np.linalg.inv(information), axis1=2, axis2=3)
 
 
 def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:
@@ -237,7 +236,7 @@ class _Track(NamedTuple):
     weight: Array  # (camera, frame)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fuse_track(track: _Track, start: Array, stiffness: float, scales: Array) -> tuple[Array, Array, Array]:
     """Estimate one keypoint's track from ``start`` (frame, 3); also give its covariance and the weights that are kept."""
     frames = len(start)
@@ -264,21 +263,21 @@ def _fuse_track(track: _Track, start: Array, stiffness: float, scales: Array) ->
     return x, covariance, kept
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _assemble(
     track: _Track, x: Array, stiffness: float, scale_m: float, band: Array, right: Array, kept: Array
 ) -> None:
     """Fill the normal equations at ``x``: the observations' and the penalty's."""
     band[:] = 0.0
     right[:] = 0.0
-    frames = len(x)
+    frames, error, slope = len(x), np.empty(2), np.empty((2, 3))
     for t in range(frames):
         for i in range(3):
             band[3 * t + i, 0] += LOWEST_INFORMATION
         for c in range(len(track.projections)):
             kept[c, t] = 0.0
             if track.weight[c, t] > 0.0:
-                kept[c, t] = _add_observation(track, c, t, x[t], scale_m, band, right)
+                kept[c, t] = _add_observation(track, c, t, x[t], scale_m, band, right, error, slope)
     signs = (-1.0, 3.0, -3.0, 1.0)
     for t in range(frames - 3):
         for i in range(3):
@@ -289,19 +288,24 @@ def _assemble(
                     band[3 * (t + a) + i, 3 * (a - b)] += stiffness * signs[a] * signs[b]
 
 
-@njit(cache=True, nogil=True)
-def _add_observation(track: _Track, c: int, t: int, x: Array, scale_m: float, band: Array, right: Array) -> float:
-    """Add one camera's observation of one frame; give the share of its weight that the loss leaves."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_observation(
+    track: _Track, c: int, t: int, x: Array, scale_m: float, band: Array, right: Array, error: Array, slope: Array
+) -> float:
+    """Add one camera's observation of one frame; give the share of its weight that the loss leaves.
+
+    ``error`` (2,) and ``slope`` (2, 3) are scratch.
+    """
     p, row = track.projections[c], 3 * t
     depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
     if depth <= 0.05:  # m
         return 0.0
-    error, slope = np.empty(2), np.empty((2, 3))
+    per_depth = 1.0 / depth
     for axis in range(2):
-        projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) / depth
+        projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) * per_depth
         error[axis] = track.uv_px[c, t, axis] - projected
         for i in range(3):
-            slope[axis, i] = (p[axis, i] - projected * p[2, i]) / depth
+            slope[axis, i] = (p[axis, i] - projected * p[2, i]) * per_depth
     share = 1.0 / (1.0 + (error[0] ** 2 + error[1] ** 2) / (track.px_per_m[c, t] * scale_m) ** 2)
     precision = track.weight[c, t] * share / SIGMA_PX**2
     for axis in range(2):
