@@ -211,7 +211,7 @@ def _measure_films(bench: Bench, build_dir: Path) -> tuple[list[Level], list[Lev
     spoiled["wrong_card"] = level_of_films(SEEDS[0], replace(FILMED, poses=30), build_dir, card=wrong_card)
     for name, level in spoiled.items():
         bench.add(f"films_{name}_not_rejected", level != "reject", "of 1", at_most=0)
-    return good, list(spoiled.values())
+    return good, [*spoiled.values()]
 
 
 def level_of_films(
