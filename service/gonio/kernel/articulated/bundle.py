@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
+from gonio.kernel.articulated.normal_equations import Marks, losses, reduce_points, steps_of_points
 from gonio.records import UNKNOWNS, JointKind
 
 HUBER = 3.0
@@ -87,42 +88,6 @@ def loss(r: Float[np.ndarray, "start picture point 3"], huber: float) -> Float[n
     return (robust + r[..., 2] ** 2).sum(axis=(1, 2))
 
 
-@dataclass(frozen=True)
-class _Normal:
-    """The normal equations: points, twists of the pictures (6 each) and their coupling."""
-
-    xx: Float[np.ndarray, "start point 3 3"]
-    gx: Float[np.ndarray, "start point 3"]
-    tt: Float[np.ndarray, "start twist twist"]
-    gt: Float[np.ndarray, "start twist"]
-    tx: Float[np.ndarray, "start point twist 3"]
-
-
-def _normal(sights: Sights, motions: Motions, x_m: Float[np.ndarray, "start point 3"], huber: float) -> _Normal:
-    Y = motions.moved(x_m)
-    r, slope = whitened(sights, Y)
-    size = np.hypot(r[..., 0], r[..., 1])
-    weight = np.ones_like(r)
-    weight[..., :2] = np.minimum(1.0, huber / np.maximum(size, 1e-12))[..., None]
-    root = np.sqrt(weight)
-    r, slope = r * root, slope * root[..., None]
-    by_x = slope @ motions.R[:, :, None]
-    by_t = np.concatenate([-slope @ cross(Y), slope], axis=-1)
-    starts, pictures, points = size.shape
-    tt = np.zeros((starts, pictures, 6, pictures, 6))
-    flat = by_t.reshape(starts, pictures, points * 3, 6)
-    block = flat.swapaxes(-1, -2) @ flat
-    for i in range(pictures):
-        tt[:, i, :, i] = block[:, i]
-    return _Normal(
-        xx=(by_x.swapaxes(-1, -2) @ by_x).sum(axis=1),
-        gx=(by_x.swapaxes(-1, -2) @ r[..., None])[..., 0].sum(axis=1),
-        tt=tt.reshape(starts, 6 * pictures, -1),
-        gt=(by_t.swapaxes(-1, -2) @ r[..., None])[..., 0].sum(axis=2).reshape(starts, -1),
-        tx=(by_t.swapaxes(-1, -2) @ by_x).transpose(0, 2, 1, 3, 4).reshape(starts, points, -1, 3),
-    )
-
-
 def adjust(
     kind: JointKind,
     sights: Sights,
@@ -136,16 +101,17 @@ def adjust(
 
     A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
     """
-    cost = loss(whitened(sights, motions.moved(x_m))[0], huber)
+    marks, x_m = _plain(sights), np.ascontiguousarray(x_m)
+    cost = losses(marks, motions.R, motions.t, x_m, huber, NEAREST_M)
     damping, calm = np.full(len(cost), 1e-3), np.zeros(len(cost), dtype=int)
     for _ in range(iterations):
         going = np.flatnonzero((calm < 2) & np.isfinite(cost) & (damping < 1e8))
         if not len(going):
             break
         here, at_m = motions.pick(going), x_m[going]
-        change, dx = _solve(kind, sights, here, at_m, damping[going], huber)
+        change, dx = _solve(kind, marks, here, at_m, damping[going], huber, sights.reference)
         tried, moved = step(kind, here, change, sights.reference), at_m + dx
-        new = loss(whitened(sights, tried.moved(moved))[0], huber)
+        new = losses(marks, tried.R, tried.t, moved, huber, NEAREST_M)
         better = new < cost[going]
         calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
         damping[going] *= np.where(better, 0.2, 6.0)
@@ -166,34 +132,39 @@ def _put(all_of: np.ndarray, where: np.ndarray, values: np.ndarray) -> np.ndarra
     return out
 
 
+def _plain(sights: Sights) -> Marks:
+    """Divide by the standard deviations once, and not in each step."""
+    return Marks(
+        R_cam=np.ascontiguousarray(sights.R_cam),
+        o_m=np.ascontiguousarray(sights.o_m),
+        f=sights.f_px / sights.sigma_px,
+        uv=np.nan_to_num(sights.uv_px) / sights.sigma_px,
+        used=np.ascontiguousarray(sights.used),
+        floor=np.ascontiguousarray(sights.floor),
+        plane=np.append(sights.normal, sights.offset_m) / sights.floor_sd_m,
+    )
+
+
 def _solve(
     kind: JointKind,
-    sights: Sights,
+    marks: Marks,
     motions: Motions,
     x_m: Float[np.ndarray, "start point 3"],
     damping: Float[np.ndarray, " start"],
     huber: float,
+    reference: int,
 ) -> tuple[Float[np.ndarray, "start unknown"], Float[np.ndarray, "start point 3"]]:
-    n = _normal(sights, motions, x_m, huber)
-    starts, points = x_m.shape[:2]
-    B = twists_of(kind, motions, sights.reference).reshape(starts, n.gt.shape[1], -1)
-    more = 1 + damping[:, None]
-    xx = n.xx.copy()
-    xx[..., range(3), range(3)] = xx[..., range(3), range(3)] * more[..., None] + 1e-9
-    inner = np.linalg.inv(xx)
-    coupled = n.tx @ inner  # (start, point, twist, 3)
-    wide = coupled.transpose(0, 2, 1, 3).reshape(starts, -1, 3 * points)
-    tx = n.tx.transpose(0, 2, 1, 3).reshape(starts, -1, 3 * points)
+    reduced = reduce_points(marks, motions.R, motions.t, x_m, damping, huber)
+    starts, pictures = motions.t.shape[:2]
+    each = twists_of(kind, motions, reference)
+    B = each.reshape(starts, 6 * pictures, -1)
     BT = B.swapaxes(-1, -2)
-    full = BT @ n.tt @ B
-    S = full - BT @ (wide @ tx.swapaxes(-1, -2)) @ B
+    S = BT @ reduced.S @ B
     diagonal = range(S.shape[-1])
-    S[:, diagonal, diagonal] += damping[:, None] * full[:, diagonal, diagonal] + 1e-9
-    right = -n.gt + (wide @ n.gx.reshape(starts, -1, 1))[..., 0]
-    change = np.linalg.solve(S, BT @ right[..., None])[..., 0]
-    twist = (B @ change[..., None])[..., 0]
-    dx = (inner @ (-n.gx - (n.tx.swapaxes(-1, -2) @ twist[:, None, :, None])[..., 0])[..., None])[..., 0]
-    return change, dx
+    S[:, diagonal, diagonal] += damping[:, None] * (each * (reduced.own @ each)).sum(axis=(1, 2)) + 1e-9
+    change = np.linalg.solve(S, BT @ reduced.right[..., None])[..., 0]
+    twist = (each @ change[:, None, :, None])[..., 0]
+    return change, steps_of_points(reduced, twist)
 
 
 def dense_jacobian(

@@ -28,6 +28,10 @@ REJECT = 4.5
 FINEST_PX = 1e-3
 """No mark is taken to be better than this: what stands on the floor would count for nothing beside it."""
 
+HINGE_FITS = 1.3
+"""A hinge whose loss is below this multiple of the joint's with three freedoms is the right one: the freedoms that it lacks,
+2 n − 4 in n pictures, leave a few times the noise of as many marks."""
+
 TWIN = 1.2
 """A second answer whose loss is below this multiple of the best can't be told from it."""
 
@@ -93,11 +97,13 @@ def _search(
     if not np.isfinite(cost).any():
         raise refuse("not-observable", part)
     best = np.argsort(cost)[:KEPT]
-    motions, x_m, cost = adjust(sought, sights, motions.pick(best), x_m[best], iterations=80)
+    # Along its axis a hinge leaves the centre free to creep: what it has after a few more steps is as good.
+    more = 80 if sought == kind else 20
+    motions, x_m, cost = adjust(sought, sights, motions.pick(best), x_m[best], iterations=more)
     order = np.argsort(cost)
     first = order[:1]
     if kind == "hinge":
-        return *_search_hinge(sights, motions.pick(first), x_m[first], at_m, seed), None
+        return *_search_hinge(sights, motions.pick(first), x_m[first], cost[first[0]], at_m, seed), None
     for twin in order[1:]:
         relative = motions.R[twin] @ motions.R[first[0]].swapaxes(-1, -2)
         if cost[twin] < TWIN * cost[first[0]] and Rotation.from_matrix(relative).magnitude().max() > TWIN_RAD:
@@ -109,12 +115,18 @@ def _search_hinge(
     sights: Sights,
     motions: Motions,
     x_m: Float[np.ndarray, "1 point 3"],
+    looser: float,
     at_m: Float[np.ndarray, "picture 3"],
     seed: int,
 ) -> tuple[Motions, Float[np.ndarray, "1 point 3"]]:
-    """Take the better of the hinge next to the joint of three freedoms, and of those that random axes lead to."""
+    """Take the better of the hinge next to the joint of three freedoms, and of those that random axes lead to.
+
+    ``looser`` is that joint's loss: no hinge's is below it, so that one which comes near it needs no others beside it.
+    """
     near = _as_hinge(replace(motions, axis=_axis_ratio(motions)[1][None]), x_m)
     near, near_X, near_cost = adjust("hinge", sights, near, x_m, iterations=80)
+    if near_cost[0] < HINGE_FITS * looser:
+        return near, near_X
     far, far_X = random_starts(sights, "hinge", at_m, STARTS, seed)
     far, far_X, cost = adjust("hinge", sights, far, far_X, iterations=SCREENED)
     best = np.argsort(cost)[:KEPT]
