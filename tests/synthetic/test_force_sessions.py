@@ -222,6 +222,7 @@ def test_without_a_mass_there_are_angles_and_no_torque(report_of, soles):
     report = report_of(soles(), subject={"sex": "female"})
     assert report.kinetics is None
     assert "torque-mass-missing" in codes(report)
+    assert "no torques" in report.verdict.sentence
     assert angles_are_there(report)
 
 

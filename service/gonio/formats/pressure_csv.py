@@ -209,7 +209,16 @@ def _ascending(parts: Iterator[_Part], name: str) -> Iterator[_Part]:
 def _parts(path: Path, name: str, card: PressureCard, feet: FeetOnMat | None) -> Generator[_Part, None, None]:
     """Parse the table a part at a time."""
     separator, header = _header(path, name, card.time.column)
-    parts = parts_of(card).values()
+    described = parts_of(card)
+    absent = [side for side, part in described.items() if not set(columns_of(part)) & set(header)]
+    if len(absent) == 1 and len(described) > 1:
+        raise InputError(
+            f"{name} has no column of the {absent[0]} foot.",
+            hint="What the ground does to the body is known from both feet only. Export both soles; without the other one, "
+            "upload no pressure, and get the angles.",
+            code="pressure-one-foot",
+        )
+    parts = described.values()
     wanted = [card.time.column, *(column for part in parts for column in columns_of(part))]
     for column in wanted:
         if header.count(column) != 1:

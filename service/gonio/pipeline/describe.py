@@ -111,7 +111,10 @@ def verdict_of(findings: Sequence[Finding], *, torques: bool = False) -> Verdict
             "plates.",
         )
     level: Level = "poor" if serious else "usable" if any(f.severity == "warning" for f in findings) else "good"
-    return Verdict(level=level, sentence=SENTENCES[level].format(torques=WITH_TORQUES[level] if torques else ""))
+    sentence = SENTENCES[level].format(torques=WITH_TORQUES[level] if torques else "")
+    if any(f.code == "torque-mass-missing" for f in findings):
+        sentence += " There are no torques, for the subject's mass was not given."
+    return Verdict(level=level, sentence=sentence)
 
 
 def describe_camera(analysis: Analysis, camera: int) -> CameraReport:

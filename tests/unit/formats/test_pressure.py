@@ -184,6 +184,10 @@ def lost_foot(table):
     return table.assign(right_force_n=np.nan)
 
 
+def absent_foot(table):
+    return table.drop(columns=["left_force_n", "left_along_m", "left_across_m"], errors="ignore")
+
+
 def negative(table):
     return table.assign(right_force_n=-table["right_force_n"])
 
@@ -233,6 +237,7 @@ def untimed(table):
     [
         (one_foot, "pressure-one-foot", "left foot always shows 7"),
         (lost_foot, "pressure-one-foot", "right foot has no value"),
+        (absent_foot, "pressure-one-foot", "no column of the left foot"),
         (negative, "pressure-negative", "are negative, down to -699"),
         (too_light, "pressure-unit", r"that is 3\.1 kg"),
         (too_heavy, "pressure-unit", "at most 6.99e"),

@@ -103,7 +103,7 @@ def _search(
     order = np.argsort(cost)
     first = order[:1]
     if kind == "hinge":
-        return *_search_hinge(sights, motions.pick(first), x_m[first], cost[first[0]], at_m, seed), None
+        return *_search_hinge(sights, motions.pick(first), x_m[first], float(cost[order[0]]), at_m, seed), None
     for twin in order[1:]:
         relative = motions.R[twin] @ motions.R[first[0]].swapaxes(-1, -2)
         if cost[twin] < TWIN * cost[first[0]] and Rotation.from_matrix(relative).magnitude().max() > TWIN_RAD:

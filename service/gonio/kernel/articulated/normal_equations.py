@@ -124,7 +124,7 @@ def steps_of_points(reduced: Reduced, twist: np.ndarray) -> Float[np.ndarray, "s
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_mark(
+def _add_mark(  # noqa: C901, PLR0913 - numba unrolls these loops; arrays to be filled are arguments
     marks: Marks, i: int, k: int, R: np.ndarray, t: np.ndarray, X: np.ndarray, huber: float,
     xx: np.ndarray, gx: np.ndarray, coupling: np.ndarray, own: np.ndarray, right: np.ndarray,
 ) -> None:  # fmt: skip

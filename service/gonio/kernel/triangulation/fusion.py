@@ -289,7 +289,7 @@ def _assemble(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_observation(
+def _add_observation(  # noqa: PLR0913 - scratch arrays are arguments of compiled code
     track: _Track, c: int, t: int, x: Array, scale_m: float, band: Array, right: Array, error: Array, slope: Array
 ) -> float:
     """Add one camera's observation of one frame; give the share of its weight that the loss leaves.
