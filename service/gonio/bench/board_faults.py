@@ -201,7 +201,7 @@ FILMED_FAULTS: dict[str, tuple[Filming, float]] = {
 def _measure_films(bench: Bench, build_dir: Path) -> tuple[list[Level], list[Level]]:
     """The same from rendered films, through the whole river; gives the levels of the good ones and of the spoiled."""
     build_dir.mkdir(parents=True, exist_ok=True)
-    good = [level_of_films(seed, FILMED, build_dir) for seed in SEEDS]
+    good: list[Level] = [level_of_films(seed, FILMED, build_dir) for seed in SEEDS]
     bench.add("films_good_rejected", good.count("reject"), f"of {len(good)}", at_most=0)
     spoiled: dict[str, Level] = {
         name: level_of_films(SEEDS[0], filming, build_dir, blur_px=blur_px)
@@ -211,7 +211,7 @@ def _measure_films(bench: Bench, build_dir: Path) -> tuple[list[Level], list[Lev
     spoiled["wrong_card"] = level_of_films(SEEDS[0], replace(FILMED, poses=30), build_dir, card=wrong_card)
     for name, level in spoiled.items():
         bench.add(f"films_{name}_not_rejected", level != "reject", "of 1", at_most=0)
-    return good, [*spoiled.values()]
+    return good, list(spoiled.values())
 
 
 def level_of_films(

@@ -134,6 +134,7 @@ def _report(bench: Bench, of: str, seen: Seen) -> None:
     bench.add(f"upload_cuts{of}", sum(cuts.cuts for cuts in seen.cuts), "cuts")
     bench.add(f"upload_server_kills{of}", sum(cuts.server_kills for cuts in seen.cuts), "kills")
     bench.add(f"upload_bad_hashes{of}", sum(cuts.wrong for cuts in seen.cuts), "uploads", at_most=0)
+    bench.add(f"uploads_given_up{of}", sum(cuts.given_up for cuts in seen.cuts), "uploads", at_most=0)
     bench.add(f"polls{of}", sum(len(each.poll_s) for each in seen.loads), "polls")
     bench.add(f"poll_p99_ms{of}", 1000 * max(p99_s(each.poll_s) for each in seen.loads), "ms")
     bench.add(f"poll_p99_ms_without_uploads{of}", 1000 * max(p99_s(each.quiet_poll_s) for each in seen.loads), "ms")

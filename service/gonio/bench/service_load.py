@@ -27,6 +27,9 @@ class Cuts:
 
     uploads: int = 0
     wrong: int = 0
+    """Files whose hash in the service is not their own."""
+    given_up: int = 0
+    """Uploads that the client ended with an error, because the server was gone for longer than it waits."""
     cuts: int = 0
     server_kills: int = 0
 
@@ -52,12 +55,13 @@ def cut_at_random(house: House, video: Path, folder: Path, count: int, dice: ran
         try:
             with house.client() as client:
                 file = client.upload(session, path, on_progress=cut)
-            wrong = file["sha256"] != hashlib.sha256(path.read_bytes()).hexdigest()
+            wrong, given_up = file["sha256"] != hashlib.sha256(path.read_bytes()).hexdigest(), False
         except GonioError:
-            wrong = True
+            wrong, given_up = False, True
         with lock:
             result.uploads += 1
             result.wrong += wrong
+            result.given_up += given_up
         path.unlink()
 
     with ThreadPoolExecutor(4) as pool:
