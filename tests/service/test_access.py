@@ -55,7 +55,7 @@ def labs(keyed_lab, capture, tmp_path_factory):
         for path in sorted(capture.iterdir()):
             client.upload(session, path)
         job = client.analyse(session, {"journal": str(journal)})["id"]
-        client.wait(job, timeout_s=60)
+        client.wait(job, timeout_s=180)
         ids = {
             "session_id": session,
             "file_id": client.files(session)[0]["id"],

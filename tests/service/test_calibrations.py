@@ -87,7 +87,7 @@ def test_a_session_names_a_calibration_which_can_not_be_deleted_while_it_is_read
     with pytest.raises(GonioError) as caught:
         lab.client.delete_session(calibrated["session"])
     assert caught.value.code == "session-busy"
-    lab.client.wait(job, timeout_s=30)
+    lab.client.wait(job, timeout_s=180)
     assert f"calibration-{calibrated['id']}.json" in lab.client.report(job)["files"]
 
     lab.client.upload(session, capture / "calibration.xml")

@@ -26,7 +26,7 @@ def test_the_numbers_count_jobs_stages_frames_and_requests(lab, capture, journal
     assert first.status_code == 200, lab.log.read_text()[-3000:]
     before = numbers(first.text)
     job = lab.client.analyse(lab.complete_session(capture), journal.parameters(seconds=0.1))["id"]
-    lab.client.wait(job, timeout_s=30)
+    lab.client.wait(job, timeout_s=180)
     answer = lab.http.get("/metrics")
     assert answer.headers["content-type"].startswith("text/plain")
     after = numbers(answer.text)
@@ -71,7 +71,7 @@ def test_the_log_names_jobs_and_requests_and_nobody(start_lab, capture, journal)
     for path in sorted(capture.iterdir()):
         lab.client.upload(session, path, name=f"Anna {path.name}")
     job = lab.client.analyse(session, journal.parameters(seconds=0))["id"]
-    lab.client.wait(job, timeout_s=30)
+    lab.client.wait(job, timeout_s=180)
     request = lab.http.get(f"/v1/reports/{job}").headers["x-request-id"]
     lab.process.terminate()
     lab.process.wait(10)

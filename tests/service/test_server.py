@@ -27,7 +27,7 @@ def test_a_service_in_the_background_leaves_nothing_running(tmp_path, capture, j
         for path in capture.iterdir():
             client.upload(session, path)
         job = client.analyse(session, journal.parameters())["id"]
-        client.wait(job, timeout_s=20)
+        client.wait(job, timeout_s=180)
         pid = journal.worker_pid()
     assert set(threading.enumerate()) <= threads
     with pytest.raises(ProcessLookupError):
