@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gonio.errors import InputError
-from gonio.kernel.articulated.bundle import HUBER, Sights, loss, whitened
+from gonio.kernel.articulated.bundle import HUBER, Sights, losses, marks_of, whitened
 from gonio.kernel.articulated.chain import sights_of
 from gonio.kernel.articulated.motion import OWN, Motions, cross, step, twists_of
 from gonio.kernel.articulated.observability import refuse
@@ -120,7 +120,8 @@ def _search(
     kind, count = motion.kind, OWN[motion.kind]
     here = _starts(motion, sights, x_m, known, floor)
     x = np.tile(x_m, (STARTS, 1, 1))
-    cost, damping = loss(whitened(sights, here.moved(x))[0], HUBER), np.full(STARTS, 1e-3)
+    marks = marks_of(sights)
+    cost, damping = losses(marks, here, x, HUBER), np.full(STARTS, 1e-3)
     for _ in range(STEPS):
         J, r = _slopes(here, sights, x, kind, HUBER)
         H = J.swapaxes(-1, -2) @ J
@@ -130,7 +131,7 @@ def _search(
         gradient = J[solvable].swapaxes(-1, -2) @ r[solvable, :, None]
         change[solvable, :count] = -np.linalg.solve(H[solvable] + 1e-9 * np.eye(count), gradient)[..., 0]
         tried = step(kind, here, change, 0)
-        new = loss(whitened(sights, tried.moved(x))[0], HUBER)
+        new = losses(marks, tried, x, HUBER)
         better = new < cost
         cost, damping = np.where(better, new, cost), damping * np.where(better, 0.2, 6.0)
         pick = [

@@ -3,8 +3,8 @@
 Unknown are the points X_k in the part's frame and the joint's own unknowns (:mod:`gonio.kernel.articulated.motion`);
 minimised is the Huber loss of the distance between marks and projections, plus the distance from the floor of what stands
 on it. Levenberg and Marquardt's method, with the points eliminated by the Schur complement: 3 × 3 a point, then one
-small system in the twists of the pictures, projected on the unknowns of the joint's kind. All starts go in one batch of numpy
-arrays, each with its own damping.
+small system in the twists of the pictures, projected on the unknowns of the joint's kind. All starts go side by side, each with
+its own damping; what is done for each mark is compiled (:mod:`gonio.kernel.articulated.normal_equations`).
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
-from gonio.kernel.articulated.normal_equations import Marks, losses, reduce_points, steps_of_points
+from gonio.kernel.articulated.normal_equations import Marks, reduce_points, steps_of_points, sum_losses
 from gonio.records import UNKNOWNS, JointKind
 
 HUBER = 3.0
@@ -80,12 +80,11 @@ def whitened(
     return r, slope
 
 
-def loss(r: Float[np.ndarray, "start picture point 3"], huber: float) -> Float[np.ndarray, " start"]:
-    """Sum Huber's loss of each mark's distance, and the floor's squares."""
-    size = np.hypot(r[..., 0], r[..., 1])
-    with np.errstate(invalid="ignore", over="ignore"):
-        robust = np.where(size <= huber, size * size, 2 * huber * size - huber * huber)
-    return (robust + r[..., 2] ** 2).sum(axis=(1, 2))
+def losses(
+    marks: Marks, motions: Motions, x_m: Float[np.ndarray, "start point 3"], huber: float
+) -> Float[np.ndarray, " start"]:
+    """Sum Huber's loss of each mark's distance, and the floor's squares; infinite with a point behind a camera."""
+    return sum_losses(marks, motions.R, motions.t, x_m, huber, NEAREST_M)
 
 
 def adjust(
@@ -101,8 +100,8 @@ def adjust(
 
     A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
     """
-    marks, x_m = _plain(sights), np.ascontiguousarray(x_m)
-    cost = losses(marks, motions.R, motions.t, x_m, huber, NEAREST_M)
+    marks, x_m = marks_of(sights), np.ascontiguousarray(x_m)
+    cost = losses(marks, motions, x_m, huber)
     damping, calm = np.full(len(cost), 1e-3), np.zeros(len(cost), dtype=int)
     for _ in range(iterations):
         going = np.flatnonzero((calm < 2) & np.isfinite(cost) & (damping < 1e8))
@@ -111,7 +110,7 @@ def adjust(
         here, at_m = motions.pick(going), x_m[going]
         change, dx = _solve(kind, marks, here, at_m, damping[going], huber, sights.reference)
         tried, moved = step(kind, here, change, sights.reference), at_m + dx
-        new = losses(marks, tried.R, tried.t, moved, huber, NEAREST_M)
+        new = losses(marks, tried, moved, huber)
         better = new < cost[going]
         calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
         damping[going] *= np.where(better, 0.2, 6.0)
@@ -132,8 +131,8 @@ def _put(all_of: np.ndarray, where: np.ndarray, values: np.ndarray) -> np.ndarra
     return out
 
 
-def _plain(sights: Sights) -> Marks:
-    """Divide by the standard deviations once, and not in each step."""
+def marks_of(sights: Sights) -> Marks:
+    """Give the sights as plain arrays, divided by the standard deviations once, and not in each step."""
     return Marks(
         R_cam=np.ascontiguousarray(sights.R_cam),
         o_m=np.ascontiguousarray(sights.o_m),

@@ -43,7 +43,7 @@ class Reduced(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def losses(
+def sum_losses(
     marks: Marks, R: np.ndarray, t: np.ndarray, x_m: np.ndarray, huber: float, nearest_m: float
 ) -> Float[np.ndarray, " start"]:
     """Sum Huber's loss of each mark's distance and the floor's squares, once a start; infinite with a point behind a camera."""
