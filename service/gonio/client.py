@@ -38,8 +38,9 @@ Role = Literal[
 RESUMABLE_BYTES = 8_000_000
 """From this size on, an upload can be gone on with after a cut; a smaller one is simply sent again."""
 
-MOST_CUTS = 10
-"""After how many cuts in a row, with nothing added in between, an upload is given up: about half a minute."""
+MOST_CUTS = 30
+"""After how many cuts in a row, with nothing added in between, an upload is given up: after two minutes, in which a service
+on a slow machine is started anew."""
 
 _TUS = {"Tus-Resumable": "1.0.0"}
 
