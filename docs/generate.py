@@ -1,6 +1,7 @@
 """Write the reference pages that are made from the code: `make reference`. A test holds that they are up to date."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def findings_page() -> str:
     ]
     for code, kind in KINDS.items():
         message = kind.message.replace("{where}", "*where*")
+        message = re.sub(r"{value:g [^|}]+\|([^}]+)}", r"*value* \1", message)
         for value in ("{value:g}", "{value:.0f}", "{value:.1f}", "{value:.2f}"):
             message = message.replace(value, "*value*")
         lines += [f"## `{code}`", "", f"*{kind.severity}, stage {kind.stage}*", "", message, "", kind.hint, ""]

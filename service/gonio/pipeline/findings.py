@@ -3,7 +3,7 @@
 ``docs/reference/findings.md`` is made from this table, and a test holds the two together.
 """
 
-from gonio.pipeline.finding_kind import Kind
+from gonio.pipeline.finding_kind import Kind, Number
 from gonio.pipeline.findings_carving import CARVING_KINDS
 from gonio.pipeline.findings_forces import FORCE_KINDS
 from gonio.pipeline.findings_lab import LAB_KINDS
@@ -15,7 +15,7 @@ KINDS: dict[str, Kind] = {
     "board-rows-unseen": Kind(
         "warning",
         "boards",
-        "The board's outermost {value:g} line(s) of inner corners, below the rows that were seen, were never confirmed: that "
+        "The board's outermost lines of inner corners ({value:g}), below the rows that were seen, were never confirmed: that "
         "part is covered in all pictures, or the board has fewer rows than its card says. Its corners were left out.",
         "Hold the board at its other side or by a handle behind it, and count its rows again.",
     ),
@@ -29,15 +29,15 @@ KINDS: dict[str, Kind] = {
     "lens-from-session": Kind(
         "warning",
         "lenses",
-        "The lens of camera {where} was calibrated from this recording itself, in which the board is small and far: its "
-        "focal length is known to {value:.1f} %.",
+        "The lens of camera {where} was calibrated from this recording itself, in which the board is small and far: "
+        "its own pictures give the focal length to {value:.1f} %.",
         "Film the board with this camera alone, close, filling the picture, tilted in all directions; give it as its lens.",
         "%",
     ),
     "lens-few-views": Kind(
         "warning",
         "lenses",
-        "The lens of camera {where} was calibrated from {value:g} pictures of the board.",
+        "The lens of camera {where} was calibrated from {value:g picture|pictures} of the board.",
         "Film it for half a minute: 20 to 30 different views make a lens.",
         "pictures",
     ),
@@ -161,15 +161,16 @@ KINDS: dict[str, Kind] = {
     "lens-not-tilted": Kind(
         "warning",
         "verdict",
-        "The lens of camera {where} was calibrated from {value:g} pictures with a tilted board: held parallel to the picture, "
-        "a board can't tell near from far.",
+        "The lens of camera {where} was calibrated from {value:g picture|pictures} with a tilted board: held parallel to "
+        "the picture, a board can't tell near from far.",
         "Film the board with this camera again, tilted by 20° to 50° to the left, the right, up and down.",
         "pictures",
     ),
     "focal-length-unsure": Kind(
         "warning",
         "verdict",
-        "The focal length of camera {where} is known to {value:.1f} % only: every distance from it is.",
+        "With all that was given, the focal length of camera {where} is known to {value:.1f} % only: every distance from it "
+        "is.",
         "Calibrate its lens from a recording of its own: the board close, filling the picture, tilted in all directions.",
         "%",
     ),
@@ -219,7 +220,7 @@ KINDS: dict[str, Kind] = {
     "image-size-differs": Kind(
         "info",
         "capture",
-        "The video of camera {where} is {value:g} pixels narrower or lower than its calibration says; it was taken as "
+        "The video of camera {where} is {value:g pixel|pixels} narrower or lower than its calibration says; it was taken as "
         "cut at the right or lower edge.",
         "Calibrate with the video mode that you record with.",
         "px",
@@ -234,7 +235,7 @@ KINDS: dict[str, Kind] = {
     "lengths-differ": Kind(
         "warning",
         "capture",
-        "The videos have different lengths (camera {where} has {value:g} frames more than the shortest): only the part "
+        "The videos have different lengths (camera {where} has {value:g frame|frames} more than the shortest): only the part "
         "that all of them cover was used, and it was assumed that they start together.",
         "Start the cameras by a common trigger, or cut the videos to the same first moment.",
         "frames",
@@ -263,8 +264,8 @@ KINDS: dict[str, Kind] = {
     "bystanders": Kind(
         "info",
         "keypoints",
-        "{value:g} other people were in view; the subject is {where}. Unless the request says who, it is the one who is well "
-        "seen, walks, and is nearest to the middle of the capture volume.",
+        "{value:g other person was|other people were} in view; the subject is {where}. Unless the request "
+        "says who, it is the one who is well seen, walks, and is nearest to the middle of the capture volume.",
         "Keep bystanders out of the picture: they hide the subject. If it is the wrong person, ask for another one with "
         "keypoints.person; the report lists them all.",
         "people",
@@ -469,7 +470,7 @@ def finding(
         code=code,
         severity=severity or kind.severity,
         stage=kind.stage,
-        message=kind.message.format(where=where, value=value if value is not None else float("nan")),
+        message=kind.message.format(where=where, value=Number("nan" if value is None else value)),
         hint=kind.hint,
         where=where,
         value=None if value is None else float(value),

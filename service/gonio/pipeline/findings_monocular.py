@@ -37,7 +37,7 @@ MONOCULAR_KINDS: dict[str, Kind] = {
     "one-camera-bystanders": Kind(
         "info",
         "keypoints",
-        "{value:.0f} other people were seen; the subject is {where}.",
+        "{value:g other person was|other people were} seen; the subject is {where}.",
         "Is the skeleton in the picture on the right person? If not, ask for keypoints.person = 2.",
         "people",
     ),

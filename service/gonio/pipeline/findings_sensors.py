@@ -6,7 +6,7 @@ SENSOR_KINDS: dict[str, Kind] = {
     "pressure-samples-doubled": Kind(
         "info",
         "sensors",
-        "{value:g} samples of the pressure stream have the time stamp of the one before, and were left out.",
+        "{value:g sample|samples} of the pressure stream with the time stamp of the one before: left out.",
         "Export the time stamps with all their digits.",
         "samples",
     ),

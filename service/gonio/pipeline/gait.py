@@ -11,6 +11,7 @@ from gonio.kernel.gait.parameters import measure_gait
 from gonio.kernel.gait.paths import bridge_gaps, foot_paths
 from gonio.kernel.gait.progression import Bout, find_bouts
 from gonio.kernel.kinematics.clinical import clinical_deg, clinical_sd_deg, find_clinical_angles
+from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.findings import finding
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.pressure import Measured
@@ -122,7 +123,11 @@ def judge_gait(analysis: GaitAnalysis) -> tuple[Finding, ...]:
     """Say what the reader must know: no cycles, few cycles, odd cycles, and events that no force showed."""
     contacts = sum(len(train.frames) for train in analysis.events.strikes)
     if not analysis.cycles:
-        where = f"{contacts} initial contacts were seen" if contacts else "nobody walks in it"
+        where = (
+            counted(contacts, "initial contact was|initial contacts were") + " seen"
+            if contacts
+            else "nobody walks in it"
+        )
         return (finding("gait-no-cycle", where=where),)
     findings: list[Finding] = []
     for side in FEET:

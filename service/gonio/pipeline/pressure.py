@@ -19,6 +19,7 @@ from gonio.kernel.dynamics.zero_lag import FEWEST_FRAMES, differentiate
 from gonio.kernel.forces.plates import assign_plates
 from gonio.kernel.synchronization.pressure import BodyCourse, PressureClock, find_clock, is_idle, lacking_share
 from gonio.pipeline.body import only_file
+from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.findings import finding
 from gonio.pipeline.moments import longest_stretch
 from gonio.pipeline.motion import BodyMotion, complete
@@ -221,7 +222,7 @@ def _judge_clock(
     """Give the offset that is taken out, NaN where the stream is not used, and what is to be said of it."""
     if clock.swapped:
         return np.nan, (finding("pressure-feet-swapped"),)
-    witnesses = f"±{1e3 * clock.sd_s:.0f} ms, from {clock.events} contacts"
+    witnesses = f"±{1e3 * clock.sd_s:.0f} ms, from {counted(clock.events, 'contact|contacts')}"
     if parameters.forces.synchronization == "hardware":
         if clock.refused:
             return 0.0, (finding("pressure-hardware-unconfirmed", where=clock.refused),)

@@ -15,6 +15,7 @@ from gonio.kernel.geometry.cameras import project
 from gonio.pipeline.calibration_figures import plan_figure
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.dynamics import moment_curves
+from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.gait import angle_curves, time_s
 from gonio.pipeline.motion import BodyMotion
 from gonio.pipeline.opensim_dynamics import table_of_torques
@@ -178,8 +179,8 @@ def key_lines(report: GaitReport) -> list[str]:
 
     return [
         f"Verdict: {report.verdict.level}. {report.verdict.sentence}",
-        f"Recording: {len(r.cameras)} cameras, {report.frames} frames at {report.rate_hz:g} Hz ({report.duration_s:.2f} s), "
-        f"{len(report.findings)} findings",
+        f"Recording: {counted(len(r.cameras), 'camera|cameras')}, {report.frames} frames at {report.rate_hz:g} Hz "
+        f"({report.duration_s:.2f} s), {counted(len(report.findings), 'finding|findings')}",
         f"Cameras: reprojection mean {r.reprojection_mean_px} px, median {r.reprojection_median_px} px over "
         f"{r.observations} observations; largest bias {worst.name} ({worst.bias_u_px}, {worst.bias_v_px}) px",
         "Leg segments, SD over time: " + ", ".join(f"{s.name} {s.sd_mm} mm" for s in legs),

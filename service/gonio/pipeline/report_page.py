@@ -7,6 +7,7 @@ from typing import NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gonio.pipeline.figures import angle_figure, cycle_figure
+from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_gait import CycleCurve, GaitParameter, GaitReportSection, Statistic
 from gonio.pipeline.report_schema import GaitReport, ReportFinding
@@ -31,6 +32,7 @@ def render_html(report: GaitReport, pictures: Mapping[str, bytes], plan_svg: str
     )
     return environment.get_template("report.html.jinja").render(
         report=report,
+        counted=counted,
         quantity=quantity,
         statistic=statistic,
         moment=moment,

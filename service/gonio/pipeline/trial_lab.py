@@ -12,6 +12,7 @@ from gonio.formats.calibration import read_own_calibration
 from gonio.kernel.calibration.lab_frame import lab_from_walker
 from gonio.kernel.calibration.walker import find_contacts, upright
 from gonio.kernel.geometry.transforms import apply, transform
+from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.findings import finding
 from gonio.pipeline.params import LabChoice
 from gonio.pipeline.run import CaptureFile
@@ -74,7 +75,9 @@ def find_trial_lab(
         return *move_lab(points, rig, T), (*told, finding("lab-from-posture"))
     tilt_deg = float(np.rad2deg(frame.tilt_sd_rad))
     severity = "warning" if tilt_deg > UNSURE_DEG else None
-    from_walker = finding("lab-from-walker", where=f"{len(contacts)} steps", value=tilt_deg, severity=severity)
+    from_walker = finding(
+        "lab-from-walker", where=counted(len(contacts), "step|steps"), value=tilt_deg, severity=severity
+    )
     return *move_lab(points, rig, frame.T_lab_ref), (*told, from_walker)
 
 

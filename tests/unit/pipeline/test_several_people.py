@@ -50,6 +50,7 @@ def test_bystanders_are_told_with_the_nearest(keypoints):
     told = tell_bystanders(keypoints.people, 0)
     assert (told.code, told.value) == ("bystanders", 1)
     assert told.where == "person 1 of 2; the nearest other came to 1.5 m"
+    assert told.message.startswith("1 other person was in view;")
     early, late = walker(0.0), walker(1.0, first=6)
     early = replace(early, centre_lab_m=np.where(np.arange(FRAMES)[:, None] < 6, early.centre_lab_m, np.nan))
     assert "never there at the same time" in tell_bystanders((late, early), 0).where
