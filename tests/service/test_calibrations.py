@@ -121,10 +121,11 @@ def test_an_old_calibration_is_checked_by_a_new_sweep(lab, calibrated, boards):
         ("001.jpg", b"", {"camera": "cam1"}, "image-empty"),
         ("001.png", b"no picture", {"camera": "cam1"}, "image-unreadable"),
         ("board.toml", b'kind = "charuco"', {}, "board-card-unreadable"),
-        ("points.toml", b"[points]", {"role": "floor_points"}, "floor-points-unreadable"),
         ("lenses.json", b"{}", {"role": "optics"}, "calibration-unreadable"),
         ("old.json", b'{"format": "gonio calibration"}', {"role": "previous"}, "calibration-unreadable"),
         ("notes.txt", b"", {}, "role-unknown"),
+        ("optics.toml", b"", {}, "calibration-format-unknown"),
+        ("floor_points.toml", b"[points]", {}, "floor-points-unreadable"),
     ],
 )
 def test_what_can_not_be_read_is_refused_at_once(lab, tmp_path, name, content, fields, code):

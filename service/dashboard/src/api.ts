@@ -1,7 +1,7 @@
 // The way to the REST API. The browser keeps the key in a cookie that no script can read (POST /sign-in sets it).
 
 import type { ParameterSchema } from "./parts/options";
-import type { Calibration, Caller, Job, Report, ResultFile, Session, Subject, UploadedFile } from "./types";
+import type { Calibration, Caller, Job, ObjectMotion, Report, ResultFile, Session, Subject, UploadedFile } from "./types";
 
 export class Problem extends Error {
   constructor(
@@ -70,6 +70,7 @@ export const api = {
   job: (id: string) => json<Job>("GET", `/v1/jobs/${id}`),
   cancel: (id: string) => json<Job>("POST", `/v1/jobs/${id}/cancel`),
   report: (id: string) => json<Report>("GET", `/v1/reports/${id}`),
+  motion: (id: string) => json<ObjectMotion>("GET", `/v1/reports/${id}`),
   reportFiles: async (id: string) => (await json<{ items: ResultFile[] }>("GET", `/v1/reports/${id}/files`)).items,
   calibrations: () => all<Calibration>("/v1/calibrations"),
   calibration: (id: string) => json<Calibration>("GET", `/v1/calibrations/${id}`),

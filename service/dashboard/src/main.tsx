@@ -5,7 +5,7 @@ import { useLoaded } from "./load";
 import { CalibrationPage } from "./pages/calibration";
 import { HomePage } from "./pages/home";
 import { NewSessionPage } from "./pages/new";
-import { ReportPage } from "./pages/report";
+import { ResultPage } from "./pages/object";
 import { SessionPage } from "./pages/session";
 import { ComparePage } from "./pages/compare";
 import { SubjectPage } from "./pages/subject";
@@ -34,7 +34,7 @@ function Page({ place }: { place: string[] }) {
   if (what === "subjects" && id) return <SubjectPage key={id} code={decodeURIComponent(id)} />;
   if (what === "compare" && id && other) return <ComparePage key={id + other} first={id} second={other} />;
   if (what === "calibrations" && id) return <CalibrationPage key={id} id={id} />;
-  if (what === "reports" && id) return <ReportPage key={id} id={id} />;
+  if (what === "reports" && id) return <ResultPage key={id} id={id} />;
   return <HomePage />;
 }
 

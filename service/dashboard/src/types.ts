@@ -144,6 +144,21 @@ export interface Report {
   body: { mass_kg: number };
 }
 
+/** What the pictures told of an articulated object (docs/reference/articulated.schema.json). */
+export interface ObjectMotion {
+  reference: string;
+  joints: {
+    part: string;
+    parent: string | null;
+    joint: string;
+    found_to_be_a_hinge: boolean;
+    ambiguous: boolean;
+    noise_px: number;
+    pictures: { picture: string; turn_deg: number; turn_sd_deg: number; unsure: boolean }[];
+  }[];
+  refused: { part: string; code: string; message: string; hint: string }[];
+}
+
 export interface Caller {
   lab: string;
   scopes: string[];

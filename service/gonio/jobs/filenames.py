@@ -6,7 +6,7 @@ from typing import get_args
 from urllib.parse import unquote
 
 from gonio.errors import InputError
-from gonio.pipeline.run import CalibrationRole, ObjectRole, Role, TrialRole
+from gonio.pipeline.run import ROLE_NAMES, CalibrationRole, ObjectRole, Role, TrialRole
 
 MAX_BYTES = 255
 """The longest file name that the usual file systems take."""
@@ -49,6 +49,16 @@ ROLES: dict[str, tuple[Role, ...]] = {
     "calibration": get_args(CalibrationRole),
 }
 """What the files of each kind of session may be."""
+_OF_A_TRIAL = (
+    "Videos end in .mp4, .mov or the like, a calibration in .toml, .json, .xml or .txt, a table of soles in .csv."
+)
+TELLING_NAMES = {
+    "human_multicamera": _OF_A_TRIAL,
+    "human_monocular": _OF_A_TRIAL,
+    "articulated_object": "Call it body.toml, tracks.csv, cameras.json or background.csv; photographs end in .jpg or .png.",
+    "calibration": "Call it board.toml, optics.toml or floor_points.toml; videos end in .mp4, .mov or the like.",
+}
+"""What a name must be like to tell the role, by the kind of session."""
 
 
 def guess_role(name: str, kind: str) -> Role:
@@ -65,8 +75,9 @@ def guess_role(name: str, kind: str) -> Role:
     elif kind == "calibration":
         if suffix in VIDEOS + IMAGES:
             return "sweep"
-        if suffix == ".toml" and PurePath(name).stem.lower() in ("board", "charuco", "checkerboard"):
-            return "board"
+        named = ROLE_NAMES.get(PurePath(name).stem.lower().removesuffix(".qca"))
+        if named is not None and suffix in CALIBRATIONS:
+            return named
     elif suffix in VIDEOS:
         return "video"
     elif name.lower().endswith(PRESSURE_CARDS):
@@ -79,7 +90,7 @@ def guess_role(name: str, kind: str) -> Role:
         return OTHERS[suffix]
     raise InputError(
         f"The name {name!r} doesn't tell what the file is.",
-        hint=f"Send the form field `role`: one of {', '.join(ROLES[kind])}.",
+        hint=f"{TELLING_NAMES[kind]} Or send the form field `role`: one of {', '.join(ROLES[kind])}.",
         code="role-unknown",
     )
 

@@ -124,7 +124,8 @@ def _probe_calibration_input(path: Path, role: Role) -> dict[str, Any]:
 
     if role == "board":
         board = read_board_card(path).board
-        return {"board": board.name, "inner_corners": [board.corners_across, board.corners_down]}
+        corners = [board.corners_across, board.corners_down]
+        return {"board": board.name, "inner_corners": corners, "square_mm": round(1e3 * board.square_m, 3)}
     if role == "floor_points":
         return {"points": list(read_floor_points(path, None).names)}
     if role == "previous":

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from gonio.kernel.calibration.intrinsics import coverage
 from gonio.pipeline.figures import svg_text
-from gonio.records import BoardViews, Rig
+from gonio.records import BoardViews, Intrinsics, Rig
 
-BLUE, VERMILLION, GREY = "#0072B2", "#D55E00", "#888888"
+BLUE, VERMILLION, GREY, SHADE = "#0072B2", "#D55E00", "#888888", "#FBE3CF"
 MOST_POINTS = 1500
 
 
@@ -49,8 +51,9 @@ def plan_figure(rig: Rig, seen_lab_m: Float[np.ndarray, "point 3"], what: str = 
     return svg_text(figure, f"Cameras and {what} in the lab, from above and from the side; the arrow shows forward")
 
 
-def coverage_figure(views: BoardViews, names: Sequence[str]) -> str:
-    """Draw where in each camera's picture corners were seen."""
+def coverage_figure(views: BoardViews, lenses: Sequence[Intrinsics]) -> str:
+    """Draw where in the picture of each lens's camera corners were seen; shaded: where none told of the lens."""
+    names = [lens.camera_name for lens in lenses]
     columns = min(len(names), 4)
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(8.0, 0.3 + 1.7 * rows), layout="constrained")
@@ -58,9 +61,13 @@ def coverage_figure(views: BoardViews, names: Sequence[str]) -> str:
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(names) :]:
         axes.set_axis_off()
-    for axes, name in zip(panels, names, strict=False):
-        camera = views.camera_names.index(name)
+    for axes, lens in zip(panels, lenses, strict=False):
+        camera = views.camera_names.index(lens.camera_name)
         width, height = views.image_sizes_px[camera]
+        if lens.origin != "file":  # what a file's lens saw is not known
+            blank = ~(coverage(views.uv_px[camera], (width, height)) | lens.covered)
+            edges_px = (-0.5, width - 0.5, height - 0.5, -0.5)
+            axes.imshow(blank, cmap=ListedColormap(["white", SHADE]), vmin=0, vmax=1, extent=edges_px, aspect="equal")
         uv = views.uv_px[camera].reshape(-1, 2)
         uv = uv[np.isfinite(uv[:, 0])]
         uv = uv[:: max(1, len(uv) // MOST_POINTS)]
@@ -70,5 +77,5 @@ def coverage_figure(views: BoardViews, names: Sequence[str]) -> str:
         axes.set_aspect("equal")
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.set_title(name, fontsize=9)
-    return svg_text(figure, "Where in each camera's picture the board's corners were seen")
+        axes.set_title(lens.camera_name, fontsize=9)
+    return svg_text(figure, "Where in each camera's picture the board's corners were seen; shaded where none was")

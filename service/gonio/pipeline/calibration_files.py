@@ -8,16 +8,12 @@ from pathlib import Path
 from gonio.errors import InputError
 from gonio.formats.board_card import BoardCard, load_board_card, read_board_card
 from gonio.pipeline.folder import VIDEO_SUFFIXES
-from gonio.pipeline.run import CalibrationRole, CaptureFile
+from gonio.pipeline.run import ROLE_NAMES, CalibrationRole, CaptureFile
 from gonio.vision.stills import IMAGE_SUFFIXES
 
 ROLE_FOLDERS: dict[str, CalibrationRole] = {
     "intrinsic": "lens", "intrinsics": "lens", "int": "lens", "lens": "lens", "lenses": "lens",
     "extrinsic": "sweep", "extrinsics": "sweep", "ext": "sweep", "sweep": "sweep", "floor": "floor",
-}  # fmt: skip
-ROLE_NAMES: dict[str, CalibrationRole] = {
-    "board": "board", "charuco": "board", "checkerboard": "board", "floor_points": "floor_points",
-    "optics": "optics", "intrinsics": "optics", "lenses": "optics", "camera_array": "optics",
 }  # fmt: skip
 OUR_FOLDER = "gonio"
 

@@ -62,7 +62,7 @@ def write_calibration_report(
     ]
     pictures = {
         "plan": plan_figure(calibration.rig, np.concatenate(corners)),
-        "coverage": coverage_figure(views, [views.camera_names[c] for c in solution.cameras]),
+        "coverage": coverage_figure(views, calibration.intrinsics),
     }
     for name, svg in pictures.items():
         paths.append(output_dir / f"{name}.svg")

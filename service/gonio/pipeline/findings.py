@@ -68,7 +68,7 @@ KINDS: dict[str, Kind] = {
         "comparison",
         "All cameras stand where the earlier calibration has them: their pictures of the board are off by {value:.2f} px "
         "at most.",
-        "Go on with the earlier calibration.",
+        "No tripod was moved: go on with whichever of the two calibrations has the better verdict.",
         "px",
     ),
     "camera-not-checked": Kind(

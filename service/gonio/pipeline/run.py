@@ -38,6 +38,12 @@ CalibrationRole = Literal["sweep", "lens", "floor", "board", "optics", "floor_po
 the floor. ``board`` is its card, ``optics`` a file with lenses that are known already, ``floor_points`` named points,
 ``previous`` gonio's calibration of the same cameras, which is checked."""
 
+ROLE_NAMES: dict[str, CalibrationRole] = {
+    "board": "board", "charuco": "board", "checkerboard": "board", "floor_points": "floor_points",
+    "optics": "optics", "intrinsics": "optics", "lenses": "optics", "camera_array": "optics",
+}  # fmt: skip
+"""What a calibration's file is that is called so, whatever its ending."""
+
 ObjectRole = Literal["joint_tree", "tracks", "background", "picture", "calibration"]
 """``joint_tree`` is body.toml, ``tracks`` the marks of the parts, ``background`` those of what stands still, ``picture`` a
 photograph, ``calibration`` the cameras where they are known."""

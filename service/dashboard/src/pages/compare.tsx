@@ -5,9 +5,10 @@ import { useEffect, useMemo, useState } from "preact/hooks";
 import { api } from "../api";
 import { useLoaded } from "../load";
 import { ProblemNote } from "../parts/problem";
+import { VERDICTS } from "./report";
 import type { Cycle, Parameter, Report, Side } from "../types";
 import { Clock } from "../viewer/clock";
-import { CycleCurves } from "../viewer/curves";
+import { CycleCurves, hasCycles, TimeCurves } from "../viewer/curves";
 import { Scene, type Layers } from "../viewer/scene";
 import { Transport } from "../viewer/transport";
 import { loadTrial, type Trial } from "../viewer/trial";
@@ -33,6 +34,7 @@ function Comparison({ ids, both }: { ids: [string, string]; both: [Named, Named]
   const [one, other] = both.map(({ trial }) => trial) as [Trial, Trial];
   const clocks = useMemo(() => both.map(({ trial }) => new Clock(trial.duration_s, trial.header.rate_hz)) as [Clock, Clock], both);
   const [only, setOnly] = useState<Side>();
+  const cyclic = hasCycles(one.report) && hasCycles(other.report);
   const layers = useSignal<Layers>({ body: true, points: false, forces: true, torques: true, cameras: false });
   useEffect(() => effect(() => clocks[1].seek(inStep(one.report, other.report, clocks[0].time_s.value))), clocks);
   return (
@@ -47,8 +49,12 @@ function Comparison({ ids, both }: { ids: [string, string]; both: [Named, Named]
         {both.map(({ trial, name }, i) => (
           <section key={ids[i]} aria-label={name}>
             <h2>
-              <a href={`#/reports/${ids[i]}`}>{name}</a> <span class="quiet">{i === 0 ? "full lines" : "dotted lines"}</span>
+              <a href={`#/reports/${ids[i]}`}>{name}</a> {cyclic && <span class="quiet">{i === 0 ? "full lines" : "dotted lines"}</span>}
             </h2>
+            <p>
+              <span class={`state ${trial.report.verdict.level}`}>{VERDICTS[trial.report.verdict.level]}</span> {trial.report.verdict.sentence}
+              {trial.header.cameras.length === 1 && " Seen by one camera: what moves towards it and away is not measured."}
+            </p>
             <Scene trial={trial} clock={clocks[i]!} layers={layers} />
           </section>
         ))}
@@ -63,10 +69,23 @@ function Comparison({ ids, both }: { ids: [string, string]; both: [Named, Named]
           ))}
         </div>
         <p class="legend">
-          <span class="right">right</span> <span class="left">left</span> · dotted: {both[1].name} · shaded: 95 % band of the error · grey: healthy people
+          <span class="right">right</span> <span class="left">left</span> · {cyclic && `dotted: ${both[1].name} · `}shaded: 95 % band of the error
+          {cyclic && " · grey: healthy people"}
         </p>
       </div>
-      <CycleCurves report={one.report} clock={clocks[0]} other={other.report} only={only} />
+      {cyclic ? (
+        <CycleCurves report={one.report} clock={clocks[0]} other={other.report} only={only} />
+      ) : (
+        <>
+          <p class="quiet">Not both have a whole gait cycle, over which they could be laid upon each other: here they are over time.</p>
+          {both.map(({ trial, name }, i) => (
+            <section key={ids[i]} aria-label={`Curves of ${name}`}>
+              <h2>{name}</h2>
+              <TimeCurves report={trial.report} clock={clocks[i]!} only={only} />
+            </section>
+          ))}
+        </>
+      )}
       <h2>Parameters</h2>
       <Differences names={[both[0].name, both[1].name]} reports={[one.report, other.report]} />
     </article>

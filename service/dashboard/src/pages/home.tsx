@@ -1,7 +1,7 @@
 import { api } from "../api";
 import { useLoaded } from "../load";
 import { isActive } from "../parts/job";
-import { Sessions } from "../parts/sessions";
+import { Sessions, StateOf } from "../parts/sessions";
 import { ProblemNote } from "../parts/problem";
 import type { Calibration, Job, Session } from "../types";
 
@@ -20,6 +20,9 @@ export function HomePage() {
   };
   const { value, problem } = useLoaded(load, "home", (found) => found.jobs.some(isActive), 2000);
   if (!value) return <ProblemNote problem={problem} />;
+  const unfinished = value.sessions.filter(
+    (session) => session.kind === "calibration" && !value.calibrations.some((calibration) => calibration.session === session.id),
+  );
   const trials = value.sessions.filter((session) => session.kind !== "calibration");
   const subjects = [...new Set(trials.map((session) => session.subject.code).filter((code): code is string => Boolean(code)))].sort();
   return (
@@ -75,7 +78,7 @@ export function HomePage() {
         <Sessions sessions={trials} jobs={value.jobs} />
       )}
       <h2>Calibrations</h2>
-      {value.calibrations.length === 0 ? (
+      {value.calibrations.length + unfinished.length === 0 ? (
         <p class="empty">None yet. Film a printed board with all cameras, then calibrate them; or upload a calibration with a session.</p>
       ) : (
         <table>
@@ -88,6 +91,18 @@ export function HomePage() {
             </tr>
           </thead>
           <tbody>
+            {unfinished.map((session) => (
+              <tr key={session.id}>
+                <td>
+                  <a href={`#/sessions/${session.id}`}>{session.name || "unnamed"}</a>
+                </td>
+                <td />
+                <td>{new Date(session.created_at).toLocaleString()}</td>
+                <td>
+                  <StateOf jobs={value.jobs.filter((job) => job.session === session.id)} />
+                </td>
+              </tr>
+            ))}
             {value.calibrations.map((calibration) => (
               <tr key={calibration.id}>
                 <td>

@@ -10,6 +10,7 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
   const { value: calibrations } = useLoaded(api.calibrations, "calibrations");
   const [cameras, setCameras] = useState(kind);
   const isTrial = kind !== "calibration";
+  const isObject = cameras === "articulated_object";
   const submit = async (event: SubmitEvent) => {
     event.preventDefault();
     const form = new FormData(event.currentTarget as HTMLFormElement);
@@ -19,7 +20,7 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
       const session = await api.createSession({
         kind: isTrial ? text("kind") : kind,
         name: text("name"),
-        subject: isTrial ? { code: text("code") || null, mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
+        subject: isTrial && !isObject ? { code: text("code") || null, mass_kg: number("mass"), stature_m: number("stature"), sex: (text("sex") || null) as "female" | "male" | null } : {},
         calibration: text("calibration") || null,
       });
       location.hash = `#/sessions/${session.id}`;
@@ -46,6 +47,16 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
               <input type="radio" name="kind" value="human_monocular" checked={cameras === "human_monocular"} onChange={() => setCameras("human_monocular")} />
               one camera
             </label>
+            <label>
+              <input type="radio" name="kind" value="articulated_object" checked={isObject} onChange={() => setCameras("articulated_object")} />
+              one moving camera, a few photographs of a thing with joints
+            </label>
+            {isObject && (
+              <p class="quiet">
+                No person: an excavator, a mannequin. You upload its joint tree (body.toml), marks in the photographs (tracks.csv), and what tells where
+                the camera was.
+              </p>
+            )}
             {cameras === "human_monocular" && (
               <p class="quiet">
                 Film straight from the side, with a camera whose lens and place over the floor are calibrated. All lengths rest on the stature. One
@@ -54,7 +65,7 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
             )}
           </fieldset>
         )}
-        {isTrial && (
+        {isTrial && !isObject && (
           <fieldset>
             <legend>Subject</legend>
             <label>
@@ -85,17 +96,19 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
             </label>
           </fieldset>
         )}
-        <label>
-          {isTrial ? "Calibration of the cameras" : "Earlier calibration to check"}
-          <select name="calibration">
-            <option value="">{isTrial ? "I upload a file of it" : "none"}</option>
-            {calibrations?.map((one) => (
-              <option key={one.id} value={one.id}>
-                {one.name || one.cameras.join(", ")} · {new Date(one.created_at).toLocaleDateString()} · {one.verdict}
-              </option>
-            ))}
-          </select>
-        </label>
+        {!isObject && (
+          <label>
+            {isTrial ? "Calibration of the cameras" : "Earlier calibration to check"}
+            <select name="calibration">
+              <option value="">{isTrial ? "I upload a file of it" : "none"}</option>
+              {calibrations?.map((one) => (
+                <option key={one.id} value={one.id}>
+                  {one.name || one.cameras.join(", ")} · {new Date(one.created_at).toLocaleDateString()} · {one.verdict}
+                </option>
+              ))}
+            </select>
+          </label>
+        )}
         <button class="primary">Create</button>
         <ProblemNote problem={problem} />
       </form>

@@ -5,7 +5,7 @@ import { useLoaded } from "../load";
 import { Findings } from "../parts/findings";
 import { ProblemNote } from "../parts/problem";
 import { sizeOf } from "./session";
-import type { Finding, Parameter, ResultFile } from "../types";
+import type { Finding, Parameter, ResultFile, Session } from "../types";
 import { Clock } from "../viewer/clock";
 import { CycleCurves, hasCycles, TimeCurves } from "../viewer/curves";
 import { Films } from "../viewer/films";
@@ -14,7 +14,7 @@ import { Scene, type Layers } from "../viewer/scene";
 import { Transport } from "../viewer/transport";
 import { loadTrial, type Trial } from "../viewer/trial";
 
-const VERDICTS = { good: "Good", usable: "Usable with care", poor: "Poor" };
+export const VERDICTS = { good: "Good", usable: "Usable with care", poor: "Poor" };
 const LAYERS: Record<keyof Layers, string> = {
   body: "body",
   points: "measured points",
@@ -23,19 +23,18 @@ const LAYERS: Record<keyof Layers, string> = {
   cameras: "cameras",
 };
 
-export function ReportPage({ id }: { id: string }) {
+export function ReportPage({ id, session }: { id: string; session: Session }) {
   const { value: trial, problem } = useLoaded(() => loadTrial(id), id);
   if (!trial) return problem ? <ProblemNote problem={problem} /> : <p class="quiet">Loading the movement …</p>;
-  return <TrialView id={id} trial={trial} />;
+  return <TrialView id={id} session={session} trial={trial} />;
 }
 
-function TrialView({ id, trial }: { id: string; trial: Trial }) {
+function TrialView({ id, session, trial }: { id: string; session: Session; trial: Trial }) {
   const { report, header, files } = trial;
   const clock = useMemo(() => new Clock(trial.duration_s, header.rate_hz), [trial]);
   const layers = useSignal<Layers>({ body: true, points: false, forces: true, torques: true, cameras: false });
   const [over, setOver] = useState<"cycle" | "time">(hasCycles(report) ? "cycle" : "time");
   const page = files.find((file) => file.kind === "page");
-  const { value: session } = useLoaded(async () => api.session((await api.job(id)).session), id);
   const known = (name: keyof Layers) => !(["forces", "torques"].includes(name) && !report.kinetics);
   const stage = useRef<HTMLDivElement>(null);
   const showFinding = ({ start_s, end_s, camera, joint }: Finding) => {
@@ -48,7 +47,9 @@ function TrialView({ id, trial }: { id: string; trial: Trial }) {
   return (
     <article class="report">
       <header class="row">
-        <h1>{session ? <a href={`#/sessions/${session.id}`}>{session.name || "Unnamed session"}</a> : "Gait report"}</h1>
+        <h1>
+          <a href={`#/sessions/${session.id}`}>{session.name || "Unnamed session"}</a>
+        </h1>
         <span class={`state ${report.verdict.level}`}>{VERDICTS[report.verdict.level]}</span>
         <p class="verdict">{report.verdict.sentence}</p>
         {page && (
@@ -135,10 +136,10 @@ function Cycles({ id, trial, clock }: { id: string; trial: Trial; clock: Clock }
 
 async function otherReports(): Promise<{ id: string; label: string }[]> {
   const [jobs, sessions] = await Promise.all([api.jobs(), api.sessions()]);
-  const names = new Map(sessions.map((session) => [session.id, session.name || "unnamed"]));
+  const names = new Map(sessions.filter(({ kind }) => kind.startsWith("human")).map((session) => [session.id, session.name || "unnamed"]));
   return jobs
-    .filter((job) => job.report)
-    .map((job) => ({ id: job.id, label: `${names.get(job.session) ?? "?"}, ${new Date(job.created_at).toLocaleString()}` }));
+    .filter((job) => job.report && names.has(job.session))
+    .map((job) => ({ id: job.id, label: `${names.get(job.session)}, ${new Date(job.created_at).toLocaleString()}` }));
 }
 
 function Parameters({ parameters }: { parameters: Parameter[] }) {
@@ -174,7 +175,7 @@ function Parameters({ parameters }: { parameters: Parameter[] }) {
 
 const digits = (value: number) => (Math.abs(value) < 10 ? value.toFixed(2) : value.toFixed(0));
 
-function Downloads({ files }: { files: ResultFile[] }) {
+export function Downloads({ files }: { files: ResultFile[] }) {
   return (
     <ul class="files">
       {files

@@ -21,6 +21,13 @@ const ROLES: Record<string, string> = {
   lens: "board for one lens",
   floor: "board on the floor",
   board: "card of the board",
+  optics: "known lenses",
+  floor_points: "points on the floor",
+  previous: "earlier calibration",
+  joint_tree: "joint tree",
+  tracks: "marks of the parts",
+  background: "marks of the background",
+  picture: "photograph",
 };
 
 export function SessionPage({ id }: { id: string }) {
@@ -31,7 +38,8 @@ export function SessionPage({ id }: { id: string }) {
   const [problem, setProblem] = useState<Problem | null>(null);
   const [options, setOptions] = useState<Chosen>({});
   if (!session.value) return <ProblemNote problem={session.problem} />;
-  const isTrial = session.value.kind !== "calibration";
+  const isCalibration = session.value.kind === "calibration";
+  const verb = isCalibration ? "Calibrate" : "Analyse";
   const busy = jobs.value?.some(isActive) ?? false;
   const attempt = (work: () => Promise<unknown>, after: () => void) => async () => {
     setProblem(null);
@@ -52,16 +60,16 @@ export function SessionPage({ id }: { id: string }) {
         <h1>{session.value.name || "Unnamed session"}</h1>
         {session.value.subject.code && <a href={`#/subjects/${encodeURIComponent(session.value.subject.code)}`}>Subject {session.value.subject.code}</a>}
         <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, parametersOf(options)), jobs.again)}>
-          {isTrial ? "Analyse" : "Calibrate"}
+          {verb}
         </button>
       </div>
       <ProblemNote problem={problem ?? files.problem ?? jobs.problem} />
       <DropZone uploads={uploads} kind={session.value.kind} />
-      {isTrial && <Options chosen={options} onChange={setOptions} />}
+      {session.value.kind.startsWith("human") && <Options chosen={options} onChange={setOptions} />}
       <h2>Files</h2>
       {files.value && <Files files={files.value} onDelete={(file) => attempt(() => api.deleteFile(id, file), files.again)()} />}
       <h2>Jobs</h2>
-      {jobs.value?.length === 0 && <p class="empty">Not started yet. When all files are here, press “{isTrial ? "Analyse" : "Calibrate"}”.</p>}
+      {jobs.value?.length === 0 && <p class="empty">Not started yet. When all files are here, press “{verb}”.</p>}
       <ul class="jobs">
         {jobs.value?.map((job) => (
           <JobRow key={job.id} job={job} onEnd={jobs.again} />
@@ -79,16 +87,33 @@ export function SessionPage({ id }: { id: string }) {
 const WANTED: Record<string, string> = {
   human_multicamera: "Drop the cameras' videos here, the calibration if it is a file, the pressure soles' table.",
   human_monocular: "Drop the camera's video here, and its calibration if it is a file.",
-  calibration: "Drop each camera's video of the board here, and the board's card (board.toml).",
+  articulated_object: "Drop body.toml and tracks.csv here, and what tells the cameras: cameras.json, background.csv, or the photographs.",
+  calibration: "Drop each camera's video of the board here, named after the camera, and the board's card (board.toml).",
 };
+
+/** What videos of a board may show; a camera's lens and its sweep have one name, so that of the lens is sent with its role. */
+const SHOWN: Record<string, string> = {
+  sweep: "all cameras filming the board at the same time",
+  lens: "one camera alone, the board close: its lens",
+  floor: "the board on the floor",
+};
+const isFilm = (file: File) => /\.(mp4|mov|avi|mkv|m4v|mts|m2ts|mpe?g|webm|wmv)$/i.test(file.name);
+const isPhotograph = (file: File) => /\.(jpe?g|png|bmp|tiff?|webp)$/i.test(file.name);
+
+/** What a file's name doesn't tell. A lens needs many photographs, whose names don't tell the camera; the floor needs one a camera. */
+function roleOf(file: File, shown: string): string {
+  return shown !== "sweep" && (isFilm(file) || (shown === "floor" && isPhotograph(file))) ? shown : "";
+}
 
 function DropZone({ uploads, kind }: { uploads: Uploads; kind: string }) {
   const picker = useRef<HTMLInputElement>(null);
   const [over, setOver] = useState(false);
+  const [shown, setShown] = useState("sweep");
+  const add = (files: Iterable<File>) => uploads.add(files, (file) => roleOf(file, shown));
   const drop = (event: DragEvent) => {
     event.preventDefault();
     setOver(false);
-    uploads.add(event.dataTransfer?.files ?? []);
+    add(event.dataTransfer?.files ?? []);
   };
   return (
     <section
@@ -101,16 +126,28 @@ function DropZone({ uploads, kind }: { uploads: Uploads; kind: string }) {
       onDragLeave={() => setOver(false)}
       onDrop={drop}
     >
+      {kind === "calibration" && (
+        <label>
+          The videos show{" "}
+          <select value={shown} onChange={(event) => setShown(event.currentTarget.value)}>
+            {Object.entries(SHOWN).map(([role, words]) => (
+              <option key={role} value={role}>
+                {words}
+              </option>
+            ))}
+          </select>
+        </label>
+      )}
       <p>
         {WANTED[kind]}{" "}
         <button onClick={() => picker.current?.click()}>Choose files</button>
       </p>
-      <input ref={picker} type="file" multiple hidden aria-label="Files to upload" onChange={(e) => uploads.add(e.currentTarget.files ?? [])} />
+      <input ref={picker} type="file" multiple hidden aria-label="Files to upload" onChange={(e) => add(e.currentTarget.files ?? [])} />
       <ul class="uploads">
         {uploads.list.value.map((one) => (
-          <li key={one.file.name} class={one.state}>
-            <span>{one.file.name}</span>
-            <progress max={one.file.size} value={one.sent} aria-label={`Upload of ${one.file.name}`} />
+          <li key={one.name} class={one.state}>
+            <span>{one.name}</span>
+            <progress max={one.file.size} value={one.sent} aria-label={`Upload of ${one.name}`} />
             <span>{one.state === "sending" ? `${Math.round((100 * one.sent) / Math.max(one.file.size, 1))} %` : one.state}</span>
             {one.problem && one.state !== "done" && <ProblemNote problem={one.problem} />}
           </li>
@@ -162,6 +199,10 @@ function describeFacts(facts: Record<string, unknown>): string {
     return `${facts.width_px} × ${facts.height_px}, ${(facts.rate_hz as number).toFixed(1)} Hz, ${facts.frames} frames`;
   }
   return Object.entries(facts)
-    .map(([name, value]) => `${name.replace(/_/g, " ")} ${Array.isArray(value) ? value.join(", ") : String(value)}`)
+    .map(([name, value]) => {
+      const [, words, unit] = /^(.*?)(?:_(mm|px|hz|kg|m|s))?$/.exec(name)!;
+      const shown = Array.isArray(value) ? value.join(", ") : String(value);
+      return `${words!.replace(/_/g, " ")} ${shown}${unit ? ` ${unit === "hz" ? "Hz" : unit}` : ""}`;
+    })
     .join("; ");
 }

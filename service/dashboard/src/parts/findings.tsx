@@ -8,24 +8,38 @@ interface Props {
   onMoment?: (finding: Finding) => void;
 }
 
+const RANK = { serious: 0, warning: 1, info: 2 };
+
+/** The worst first; what has the same remedy, as six cameras with one fault, stands together. */
+function groupsOf(findings: Finding[]): Finding[][] {
+  const groups = new Map<string, Finding[]>();
+  for (const finding of [...findings].sort((a, b) => RANK[a.severity] - RANK[b.severity])) {
+    const key = `${finding.severity} ${finding.hint}`;
+    groups.set(key, [...(groups.get(key) ?? []), finding]);
+  }
+  return [...groups.values()];
+}
+
 /** Findings in words, the worst first, each with its remedy and the way to its moment. */
 export function Findings({ findings, onMoment }: Props) {
   if (findings.length === 0) return <p class="quiet">Nothing to remark.</p>;
   return (
     <ul class="findings">
-      {findings.map((finding) => (
-        <li key={`${finding.code} ${finding.where} ${finding.start_s}`} class={finding.severity}>
-          <span class="tag">{WORDS[finding.severity]}</span>
+      {groupsOf(findings).map((group) => (
+        <li key={`${group[0]!.severity} ${group[0]!.hint}`} class={group[0]!.severity}>
+          <span class="tag">{WORDS[group[0]!.severity]}</span>
           <div>
-            <p>
-              {finding.message}{" "}
-              {onMoment && finding.start_s != null && (
-                <button class="moment" onClick={() => onMoment(finding)}>
-                  Show it {when(finding.start_s, finding.end_s ?? finding.start_s)}
-                </button>
-              )}
-            </p>
-            <p class="quiet">{finding.hint}</p>
+            {group.map((finding) => (
+              <p key={`${finding.code} ${finding.where} ${finding.start_s}`}>
+                {finding.message}{" "}
+                {onMoment && finding.start_s != null && (
+                  <button class="moment" onClick={() => onMoment(finding)}>
+                    Show it {when(finding.start_s, finding.end_s ?? finding.start_s)}
+                  </button>
+                )}
+              </p>
+            ))}
+            <p class="quiet">{group[0]!.hint}</p>
           </div>
         </li>
       ))}

@@ -82,6 +82,6 @@ export function JobRow({ job: first, onEnd }: { job: Job; onEnd?: () => void }) 
 }
 
 function remaining(seconds: number | null): string {
-  if (seconds === null) return "";
+  if (seconds === null || seconds < 1) return ""; // it takes longer than was thought
   return seconds < 90 ? `, about ${Math.ceil(seconds)} s left` : `, about ${Math.ceil(seconds / 60)} min left`;
 }

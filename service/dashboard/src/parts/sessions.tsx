@@ -25,26 +25,29 @@ export function Sessions({ sessions, jobs }: { sessions: Session[]; jobs: Job[] 
 function SessionRow({ session, jobs }: { session: Session; jobs: Job[] }) {
   const { code, mass_kg, stature_m, sex } = session.subject;
   const subject = [code, sex, mass_kg && `${mass_kg} kg`, stature_m && `${stature_m} m`].filter(Boolean).join(", ");
-  const done = jobs.find((job) => job.report);
-  const running = jobs.find(isActive);
   return (
     <tr>
       <td>
         <a href={`#/sessions/${session.id}`}>{session.name || "unnamed"}</a>
       </td>
-      <td>{subject || <span class="quiet">not given</span>}</td>
+      <td>{subject || <span class="quiet">{session.kind === "articulated_object" ? "no person" : "not given"}</span>}</td>
       <td>{new Date(session.created_at).toLocaleString()}</td>
       <td>
-        {running ? (
-          <span class="state doing">
-            {running.progress ? `${running.progress.stage}, ${Math.round(100 * running.progress.fraction)} %` : "waiting"}
-          </span>
-        ) : done ? (
-          <a href={`#/reports/${done.id}`}>report</a>
-        ) : (
-          <span class="quiet">{jobs[0]?.state ?? "not analysed"}</span>
-        )}
+        <StateOf jobs={jobs} />
       </td>
     </tr>
   );
+}
+
+/** What became of a session: how far its job is, its report, or why there is none. */
+export function StateOf({ jobs }: { jobs: Job[] }) {
+  const running = jobs.find(isActive);
+  if (running) {
+    const { progress } = running;
+    return <span class="state doing">{progress ? `${progress.stage}, ${Math.round(100 * progress.fraction)} %` : "waiting"}</span>;
+  }
+  const done = jobs.find((job) => job.report);
+  if (done) return <a href={`#/reports/${done.id}`}>report</a>;
+  const last = jobs[0]?.state;
+  return last === "failed" ? <span class="state failed">failed</span> : <span class="quiet">{last ?? "not started"}</span>;
 }

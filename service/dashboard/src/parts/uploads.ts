@@ -6,6 +6,9 @@ import { Problem } from "../api";
 
 export interface Upload {
   file: File;
+  /** What it is called there: a role that its name doesn't tell stands before it. */
+  name: string;
+  role: string;
   sent: number;
   problem: Problem | null;
   state: "waiting" | "sending" | "done" | "failed";
@@ -25,11 +28,16 @@ export class Uploads {
     private readonly onDone: () => void,
   ) {}
 
-  add(files: Iterable<File>) {
-    const known = new Set(this.list.value.filter((one) => one.state !== "failed").map((one) => one.file.name));
-    const fresh = [...files].filter((file) => !known.has(file.name));
-    const kept = this.list.value.filter((one) => !fresh.some((file) => file.name === one.file.name));
-    this.list.value = [...kept, ...fresh.map((file): Upload => ({ file, sent: 0, problem: null, state: "waiting" }))];
+  /** Send files; where a name doesn't tell what a file is, `roleOf` does. */
+  add(files: Iterable<File>, roleOf: (file: File) => string) {
+    const known = new Set(this.list.value.filter((one) => one.state !== "failed").map((one) => one.name));
+    const all = [...files].map((file): Upload => {
+      const role = roleOf(file);
+      return { file, role, name: role ? `${role}-${file.name}` : file.name, sent: 0, problem: null, state: "waiting" };
+    });
+    const fresh = all.filter((one) => !known.has(one.name));
+    const kept = this.list.value.filter((one) => !fresh.some((other) => other.name === one.name));
+    this.list.value = [...kept, ...fresh];
     this.next();
   }
 
@@ -41,18 +49,18 @@ export class Uploads {
     const sending = this.list.value.filter((one) => one.state === "sending").length;
     for (const one of this.list.value.filter((each) => each.state === "waiting").slice(0, AT_ONCE - sending)) {
       this.change(one.file, { state: "sending" });
-      this.send(one.file);
+      this.send(one);
     }
   }
 
-  private send(file: File) {
+  private send({ file, name, role }: Upload) {
     const ended = (values: Partial<Upload>) => {
       this.change(file, values);
       this.next();
     };
     new Tus(file, {
       endpoint: `/v1/sessions/${this.session}/uploads`,
-      metadata: { filename: file.name },
+      metadata: { filename: name, ...(role && { role, camera: file.name.replace(/\.[^.]*$/, "") }) },
       retryDelays: Array<number>(TRIES).fill(RETRY_MS),
       storeFingerprintForResuming: false,
       onProgress: (sent) => this.change(file, { sent }),

@@ -33,11 +33,12 @@ const add = (a: Series, b: Series, sign: 1 | -1): Series =>
   a.map((value, i) => (value === null || b[i] == null ? null : value + sign * b[i]!));
 
 /** The angles and torques of the trial over time. */
-export function TimeCurves({ report, clock }: { report: Report; clock: Clock }) {
+export function TimeCurves({ report, clock, only }: { report: Report; clock: Clock; only?: Side }) {
+  const isShown = ({ side }: { side: Side }) => only === undefined || side === only;
   const start = report.time_s[0] ?? 0;
   const x = report.time_s.map((time) => time - start);
   const angles = ["knee", "hip", "ankle"].map((joint): Chart => {
-    const sides = report.angles.filter((angle) => angle.joint === joint);
+    const sides = report.angles.filter((angle) => angle.joint === joint && isShown(angle));
     return {
       title: `${sides[0]?.name ?? joint}, degrees (${sides[0]?.positive ?? ""} positive)`,
       x,
@@ -48,7 +49,7 @@ export function TimeCurves({ report, clock }: { report: Report; clock: Clock }) 
   });
   const mass = report.body.mass_kg;
   const torques = ["knee", "hip", "ankle"].flatMap((joint): Chart[] => {
-    const sides = report.kinetics?.torques.filter((torque) => torque.joint === joint) ?? [];
+    const sides = report.kinetics?.torques.filter((torque) => torque.joint === joint && isShown(torque)) ?? [];
     if (sides.length === 0) return [];
     return [
       {
@@ -68,7 +69,7 @@ export function TimeCurves({ report, clock }: { report: Report; clock: Clock }) 
   return (
     <div class="curves">
       {[...angles, ...torques].map((chart) => (
-        <Plot key={chart.title} chart={chart} clock={clock} toTime={(x) => x} fromTime={(t) => t} events={events} />
+        <Plot key={`${chart.title} ${only}`} chart={chart} clock={clock} toTime={(x) => x} fromTime={(t) => t} events={events} />
       ))}
     </div>
   );

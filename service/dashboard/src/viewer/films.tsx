@@ -11,8 +11,9 @@ const NEAR_S = 0.04; // a video that plays on its own may be this far off before
 
 export function Films({ trial, clock }: { trial: Trial; clock: Clock }) {
   const wide = trial.header.cameras.every((view) => view.width_px > view.height_px);
+  const alone = trial.header.cameras.length === 1;
   return (
-    <div class={wide ? "films wide" : "films"}>
+    <div class={alone ? "films alone" : wide ? "films wide" : "films"}>
       {trial.header.cameras.map((view, index) => (
         <Film key={view.name} trial={trial} clock={clock} view={view} index={index} />
       ))}
@@ -48,7 +49,7 @@ function Film({ trial, clock, view, index }: { trial: Trial; clock: Clock; view:
     };
   }, [trial]);
   return (
-    <figure class={clock.meant.value?.camera === view.name ? "meant" : ""} style={{ aspectRatio: `${view.width_px} / ${view.height_px}` }}>
+    <figure class={clock.meant.value?.camera === view.name ? "meant" : ""} style={{ aspectRatio: `${view.width_px} / ${view.height_px}`, "--shape": view.width_px / view.height_px }}>
       {url && <video ref={video} src={url} muted playsInline preload="auto" />}
       <canvas ref={canvas} width={Math.min(view.width_px, 720)} height={Math.round((view.height_px * Math.min(view.width_px, 720)) / view.width_px)} />
       <figcaption>{view.name}</figcaption>

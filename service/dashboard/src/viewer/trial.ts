@@ -81,7 +81,8 @@ const FIRST = ["markers", "force", "cop"]; // the body and the forces; the rest,
 /** Load a trial: at once what is seen first, the rest while it is looked at. Until then it is unknown, NaN. */
 export async function loadTrial(id: string): Promise<Trial> {
   const base = `/v1/reports/${id}/files`;
-  const asked = [api.report(id), api.reportFiles(id)] as const;
+  const asked = Promise.all([api.report(id), api.reportFiles(id)]);
+  asked.catch(() => undefined); // told below, if the header doesn't fail first
   const header = await api.document<Header>(`${base}/viewer.json`);
   const sizes = Object.entries(header.arrays).map(([name, { offset, shape }]) => {
     return { name, offset, size: shape.reduce((all, one) => all * one, 1) };
@@ -91,7 +92,7 @@ export async function loadTrial(id: string): Promise<Trial> {
     if (size > 0) numbers.set(await api.numbers(`${base}/viewer.f32`, offset, size), offset);
   };
   const first = sizes.filter(({ name }) => FIRST.includes(name));
-  const [report, files] = await Promise.all([...asked, ...first.map(fetchPart)]);
+  const [[report, files]] = await Promise.all([asked, ...first.map(fetchPart)]);
   const trial = new Trial(report, files, header, numbers);
   for (const part of sizes.filter(({ name }) => !FIRST.includes(name))) {
     void fetchPart(part).then(
