@@ -299,6 +299,7 @@ def _crash_problem(count: int) -> Problem:
 
 def main() -> None:
     """Run a worker with the settings of the environment and the rivers of this version."""
+    start_heartbeat()  # before the imports: on a machine that has no time for them they take longer than a frozen worker may
     settings = Settings()
     set_up_logging(settings)
     # In here, since importing the rivers takes seconds that nobody else needs to wait for.
