@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gonio.errors import InputError
 from gonio.formats.board_card import BoardCard, load_board_card, read_board_card
-from gonio.pipeline.folder import VIDEO_SUFFIXES
+from gonio.pipeline.folder import OUR_FOLDER, VIDEO_SUFFIXES
 from gonio.pipeline.run import ROLE_NAMES, CalibrationRole, CaptureFile
 from gonio.vision.stills import IMAGE_SUFFIXES
 
@@ -15,7 +15,6 @@ ROLE_FOLDERS: dict[str, CalibrationRole] = {
     "intrinsic": "lens", "intrinsics": "lens", "int": "lens", "lens": "lens", "lenses": "lens",
     "extrinsic": "sweep", "extrinsics": "sweep", "ext": "sweep", "sweep": "sweep", "floor": "floor",
 }  # fmt: skip
-OUR_FOLDER = "gonio"
 
 
 @dataclass(frozen=True)
