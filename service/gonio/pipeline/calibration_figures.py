@@ -56,7 +56,9 @@ def coverage_figure(views: BoardViews, lenses: Sequence[Intrinsics]) -> str:
     names = [lens.camera_name for lens in lenses]
     columns = min(len(names), 4)
     rows = -(-len(names) // columns)
-    figure = Figure(figsize=(8.0, 0.3 + 1.7 * rows), layout="constrained")
+    sizes = [views.image_sizes_px[views.camera_names.index(name)] for name in names]
+    tallest_in = 7.6 / columns * max(height / width for width, height in sizes)
+    figure = Figure(figsize=(8.0, rows * (tallest_in + 0.35)), layout="constrained")
     FigureCanvasSVG(figure)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(names) :]:

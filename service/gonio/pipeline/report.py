@@ -25,7 +25,7 @@ from gonio.pipeline.run import ReportFiles
 from gonio.pipeline.viewer import skeleton_of, write_viewer
 from gonio.records import FEET, Finding, GaitAnalysis, GroundForces, LabPoints
 from gonio.vision.model_cards import load_card
-from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg
+from gonio.vision.pictures import decode_jpeg, draw_skeleton, encode_jpeg, look_closer
 from gonio.vision.weights import default_cache_dir, ensure_weights
 
 PLAN_KEYPOINTS = tuple(
@@ -152,7 +152,7 @@ def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
         uv_px = project(camera, points.xyz_lab_m[keypoints.picture_frame])
         # A pixel's centre is at a whole number, its edges at halves: scaling acts on the edges.
         place_px = (uv_px + 0.5) * scale - 0.5
-        picture = decode_jpeg(path.read_bytes())
+        picture, place_px = look_closer(decode_jpeg(path.read_bytes()), place_px)
         drawn[camera.name] = encode_jpeg(
             draw_skeleton(picture, place_px, points.keypoint_names, skeleton_of(points.keypoint_names))
         )

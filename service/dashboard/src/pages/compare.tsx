@@ -8,6 +8,7 @@ import { ProblemNote } from "../parts/problem";
 import { VERDICTS } from "./report";
 import type { Cycle, Parameter, Report, Side } from "../types";
 import { Clock } from "../viewer/clock";
+import { fixed } from "../viewer/fixed";
 import { CycleCurves, hasCycles, TimeCurves } from "../viewer/curves";
 import { Scene, type Layers } from "../viewer/scene";
 import { Transport } from "../viewer/transport";
@@ -105,7 +106,7 @@ function firstCycle(report: Report): Cycle | undefined {
   return counted.find((cycle) => cycle.side === "right") ?? counted[0];
 }
 
-const digits = (value: number) => value.toFixed(Math.abs(value) < 10 ? 2 : 1);
+const digits = (value: number) => fixed(value, Math.abs(value) < 10 ? 2 : 1);
 
 function Differences({ names, reports }: { names: [string, string]; reports: [Report, Report] }) {
   const all = [...new Set(reports.flatMap((report) => report.gait.parameters.map((one) => one.name)))];
@@ -122,7 +123,7 @@ function Differences({ names, reports }: { names: [string, string]; reports: [Re
           <th>Side</th>
           <th>{names[0]}</th>
           <th>{names[1]}</th>
-          <th>Difference</th>
+          <th>Second less first</th>
         </tr>
       </thead>
       <tbody>

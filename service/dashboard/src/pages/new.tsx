@@ -65,8 +65,8 @@ export function NewSessionPage({ kind, code }: { kind: string; code: string }) {
             )}
           </fieldset>
         )}
-        {isTrial && !isObject && (
-          <fieldset>
+        {isTrial && (
+          <fieldset hidden={isObject} disabled={isObject}>
             <legend>Subject</legend>
             <label>
               Code

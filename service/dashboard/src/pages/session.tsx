@@ -2,6 +2,7 @@ import { useMemo, useRef, useState } from "preact/hooks";
 import { api, Problem } from "../api";
 import { useLoaded } from "../load";
 import { isActive, JobRow } from "../parts/job";
+import { MeasuredForm, measuredParameters, NOTHING_MEASURED } from "../parts/measured";
 import { type Chosen, Options, parametersOf } from "../parts/options";
 import { ProblemNote } from "../parts/problem";
 import { Uploads } from "../parts/uploads";
@@ -37,8 +38,10 @@ export function SessionPage({ id }: { id: string }) {
   const uploads = useMemo(() => new Uploads(id, files.again), [id]);
   const [problem, setProblem] = useState<Problem | null>(null);
   const [options, setOptions] = useState<Chosen>({});
+  const [measured, setMeasured] = useState(NOTHING_MEASURED);
   if (!session.value) return <ProblemNote problem={session.problem} />;
   const isCalibration = session.value.kind === "calibration";
+  const parameters = () => (isCalibration ? measuredParameters(measured) : parametersOf(options));
   const verb = isCalibration ? "Calibrate" : "Analyse";
   const busy = jobs.value?.some(isActive) ?? false;
   const attempt = (work: () => Promise<unknown>, after: () => void) => async () => {
@@ -59,13 +62,14 @@ export function SessionPage({ id }: { id: string }) {
       <div class="row">
         <h1>{session.value.name || "Unnamed session"}</h1>
         {session.value.subject.code && <a href={`#/subjects/${encodeURIComponent(session.value.subject.code)}`}>Subject {session.value.subject.code}</a>}
-        <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, parametersOf(options)), jobs.again)}>
+        <button class="primary" disabled={busy || !files.value?.length} onClick={attempt(() => api.analyse(id, parameters()), jobs.again)}>
           {verb}
         </button>
       </div>
       <ProblemNote problem={problem ?? files.problem ?? jobs.problem} />
       <DropZone uploads={uploads} kind={session.value.kind} />
       {session.value.kind.startsWith("human") && <Options chosen={options} onChange={setOptions} />}
+      {isCalibration && <MeasuredForm value={measured} cameras={sweepsOf(files.value ?? [])} onChange={setMeasured} />}
       <h2>Files</h2>
       {files.value && <Files files={files.value} onDelete={(file) => attempt(() => api.deleteFile(id, file), files.again)()} />}
       <h2>Jobs</h2>
@@ -82,6 +86,12 @@ export function SessionPage({ id }: { id: string }) {
       </p>
     </>
   );
+}
+
+/** The cameras that filmed the board together. */
+function sweepsOf(files: UploadedFile[]): string[] {
+  const sweeps = files.filter((file) => file.role === "sweep");
+  return [...new Set(sweeps.map((file) => file.camera ?? file.name.replace(/\.[^.]*$/, "")))].sort();
 }
 
 const WANTED: Record<string, string> = {

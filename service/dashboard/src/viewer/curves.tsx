@@ -7,6 +7,7 @@ import "uplot/dist/uPlot.min.css";
 import type { CycleCurve, GaitEvent, Report, Series, Side } from "../types";
 import type { Clock, Meant } from "./clock";
 import { LEFT, RIGHT } from "./colours";
+import { fixed } from "./fixed";
 
 const COLOURS = { right: RIGHT, left: LEFT };
 const SIDES: Side[] = ["right", "left"];
@@ -312,7 +313,7 @@ function tell(chart: Chart, x: number): string {
     .map(({ side, values, band }) => {
       const [value, half] = [values[index], band[index]];
       if (value == null) return `${side} –`;
-      return `${side} ${value.toFixed(size)}${half == null ? "" : ` ± ${half.toFixed(size)}`}${unit}`;
+      return `${side} ${fixed(value, size)}${half == null ? "" : ` ± ${half.toFixed(size)}`}${unit}`;
     })
     .join(", ");
 }
