@@ -54,7 +54,7 @@ export function CalibrationPage({ id }: { id: string }) {
         <>
           <h2>Where each camera saw the board</h2>
           <img class="picture" src={coverage.url} alt="The corners of the board in the picture of each camera" />
-          <p class="quiet">Blue: corners of the board. Shaded: none was seen there, nor in a recording of the lens alone; the lens is guessed there.</p>
+          <p class="quiet">Blue: corners of the board. Shaded, where the lens was calibrated here: none was seen, nor in a recording of the lens alone; there it is guessed.</p>
         </>
       )}
       <h2>Files</h2>
