@@ -2,8 +2,8 @@
 
 import pytest
 
-from gonio.bench.kinetics import METHODS, compare, knees_by, read_trial
 from gonio.bench.recordings import GAIT2354
+from gonio.bench.torque.gait2354 import METHODS, compare, knees_by, read_trial
 
 pytestmark = pytest.mark.skipif(not GAIT2354.is_dir(), reason=f"{GAIT2354.name} is not at hand (in shared/data)")
 

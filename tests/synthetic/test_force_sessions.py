@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gonio.bench.walks import torque_errors_nm_kg
+from gonio.bench.torque.walks import torque_errors_nm_kg
 from gonio.demo.virtual import PARAMETERS, PRESSURE_FILE, SUBJECT, film_walk, write_session
 from gonio.errors import InputError
 from gonio.formats.force_plates import read_force_plates

@@ -66,6 +66,10 @@ class Bench:
         """Add a metric."""
         self.metrics.append(Metric(name, float(value), unit, at_most, at_least))
 
+    def explain(self, docstring: str | None) -> None:
+        """Note how a part was measured: each paragraph of its module's docstring but the first, which is its title."""
+        self.notes += [part.replace("\n", " ").strip() for part in (docstring or "").split("\n\n")[1:]]
+
     def leave_out(self, names: str, error: GonioError) -> None:
         """Note which metrics could not be measured, and why."""
         self.notes.append(f"{names}: left out. {error}")

@@ -20,7 +20,7 @@ from gonio.vision.stills import IMAGE_SUFFIXES, read_rgb
 MASKS, PICTURES, PARTS = "masks", "pictures", "parts"
 
 LOW_OVERLAP = 0.85
-"""Right masks and motions give 0.93 to 0.99, half a voxel and half a pixel all around (``gonio bench articulated_paper``)."""
+"""Right masks and motions give 0.93 to 0.99, half a voxel and half a pixel all around (``gonio bench articulated``)."""
 
 LEAST_JUDGED = 4
 """Of fewer silhouettes, any two that are left fit together nearly always: none can be blamed."""

@@ -2,68 +2,16 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
+from gonio.bench.joints.carving import around, exact_hull_m3, silhouettes
 from gonio.errors import CaptureError, InputError
 from gonio.kernel.carving.hull import LEAST_SEEN, carve
 from gonio.kernel.carving.surface import carve_part, surface_of
 from gonio.kernel.carving.views import HIDDEN, SHOWN, Stack, stack_of, view_of
-from gonio.kernel.geometry.cameras import project
 from gonio.kernel.virtual_lab.articulated import virtual_cameras
-from gonio.kernel.virtual_lab.rig import make_rig
-from gonio.records import Camera, Silhouette
-
-MIDDLE_M, HALF_M = np.array([0.0, 0.35, 0.0]), np.array([0.15, 0.2, 0.1])
-SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-CORNERS_M = MIDDLE_M + SIGNS * HALF_M
-
-
-def around(pictures: int, distortion: float = 0.0) -> tuple[Camera, ...]:
-    """Cameras all around, some of them high: the hull of a box is then near the box itself."""
-    rings = [
-        make_rig(
-            pictures, radius_m=2.0, height_m=0.3 + 0.8 * (i % 3), image_size_px=(1280, 720), focal_px=1000.0,
-            distortion=(distortion, 0.0, 0.0, 0.0, 0.0), target_m=(0.0, 0.35, 0.0),
-        )
-        for i in range(pictures)
-    ]  # fmt: skip
-    return tuple(ring.cameras[i] for i, ring in enumerate(rings))
-
-
-def outline(camera: Camera) -> np.ndarray:
-    return cv2.convexHull(project(camera, CORNERS_M).astype(np.float32))[:, 0].astype(float)
-
-
-def shown_box(camera: Camera) -> np.ndarray:
-    """The pixels whose centres the box covers; edges are short enough that a lens bends none of them by a tenth of a pixel."""
-    width, height = camera.image_size_px
-    mask = np.zeros((height, width), np.uint8)
-    cv2.fillConvexPoly(mask, np.rint(outline(camera) * 256).astype(np.int32), 1, shift=8)
-    return mask > 0
-
-
-def silhouettes(cameras: tuple[Camera, ...]) -> tuple[Silhouette, ...]:
-    shown = [shown_box(camera) for camera in cameras]
-    return tuple(
-        Silhouette(camera=c, shown=m, hidden=np.zeros_like(m), rgb=np.full((*m.shape, 3), (200, 90, 30), np.uint8))
-        for c, m in zip(cameras, shown, strict=True)
-    )
-
-
-def exact_hull_m3(cameras: tuple[Camera, ...]) -> float:
-    """The polyhedron that the cones over the outlines have in common: half-spaces through a centre and an outline's edge."""
-    spaces = []
-    for camera in cameras:
-        P = camera.intrinsic_px @ camera.T_cam_lab[:3]
-        corners = outline(camera)
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            line = np.cross([*a, 1.0], [*b, 1.0])
-            plane = line @ P
-            spaces.append(-plane * np.sign(plane @ [*MIDDLE_M, 1.0]))
-    return ConvexHull(HalfspaceIntersection(np.array(spaces), MIDDLE_M).intersections).volume
+from gonio.records import Camera
 
 
 def asked_one_by_one(stack: Stack, xyz_m: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ REACH = 3
 
 THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 
-_BLOCK = 64  # frames that one thread takes at a time: each block has a corner of its own
+_BLOCK = 128  # frames that one thread takes at a time: each block has a corner of its own
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ def prepare_step(trial: Trial, equations: Equations, damping: float, *, shared: 
     Raises:
         numpy.linalg.LinAlgError: they are not positive definite at this damping.
     """
-    return Step(trial, _factorise(trial, equations, 1.0, damping, shared=shared))
+    return Step(trial, _factorise(trial, equations, 1.0, damping, shared=shared, precision=np.float32))
 
 
 def gradient_of(equations: Equations, *, shared: bool) -> Float[np.ndarray, " unknown"]:
@@ -300,11 +300,13 @@ def frame_covariance(
     return own[:frames]
 
 
-def _border_rows(equations: Equations, data_share: float) -> Float[np.ndarray, "unknown shared"]:
+def _border_rows(
+    equations: Equations, data_share: float, precision: type[np.floating] = np.float64
+) -> Float[np.ndarray, "unknown shared"]:
     """Pad the border to whole blocks of frames."""
     frames, size, shared = equations.data.border.shape
-    border = np.empty((_padded(frames), size, shared))
-    np.multiply(equations.data.border, data_share, out=border[:frames])
+    border = np.empty((_padded(frames), size, shared), dtype=precision)
+    np.multiply(equations.data.border, data_share, out=border[:frames], casting="same_kind")
     border[frames:] = 0.0
     return border.reshape(-1, shared)
 
@@ -395,7 +397,13 @@ def _shared_precision(priors: TrialPriors, markers: int) -> Float[np.ndarray, "s
 
 
 def _factorise(
-    trial: Trial, equations: Equations, data_share: float, damping: float, *, shared: bool
+    trial: Trial,
+    equations: Equations,
+    data_share: float,
+    damping: float,
+    *,
+    shared: bool,
+    precision: type[np.floating] = np.float64,
 ) -> BandFactor | BorderedFactor:
     """Assemble the band and factorise it.
 
@@ -407,8 +415,8 @@ def _factorise(
     for column in range(size):
         np.multiply(equations.data.hessian[:, column:, column], data_share, out=rows[:frames, column, : size - column])
     rows[:frames, :, 0] = (rows[:frames, :, 0] + equations.prior_hessian) * (1.0 + damping)
-    precision = trial.priors.jerk_sd[trial.free] ** -2.0
-    rows[:frames, :, ::size] += trial.jerk_band[:, None, :] * precision[:, None]
+    smoothness = trial.priors.jerk_sd[trial.free] ** -2.0
+    rows[:frames, :, ::size] += trial.jerk_band[:, None, :] * smoothness[:, None]
     rows[:frames, :, 0] += 1e-9
     rows[frames:, :, 0] = 1.0  # frames that only fill the last block
     band = rows.reshape(-1, REACH * size + 1)
@@ -416,4 +424,4 @@ def _factorise(
         return factorise(band)
     corner = data_share * equations.data.corner + equations.prior_corner
     corner[np.diag_indices_from(corner)] *= 1.0 + damping
-    return factorise_bordered(band, _border_rows(equations, data_share), corner)
+    return factorise_bordered(band, _border_rows(equations, data_share, precision), corner)

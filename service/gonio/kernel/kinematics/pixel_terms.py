@@ -205,38 +205,58 @@ def _find_moving(seen: Keypoint, free: Array) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, error_px: Array) -> float:
-    """Sum a keypoint's cameras into Λ and γ, fill each camera's residual, derivative and weight, and give the cost."""
-    if order == NORMAL_EQUATIONS:
-        seen.information[:] = 0.0
-    seen.pull[:] = 0.0
-    x, cost = seen.place, 0.0
+    """Sum a keypoint's cameras into Λ and γ, fill each camera's residual, derivative and weight, and give the cost.
+
+    Written out in scalars, for it is done for each observation of each step.
+    """
+    x, y, z = seen.place[0], seen.place[1], seen.place[2]
+    sharpness, cost = 1.0 / sight.loss_scale**2, 0.0
+    pull_x = pull_y = pull_z = xx = yx = yy = zx = zy = zz = 0.0
     for c in range(len(sight.projections)):
         seen.weight[c] = 0.0
         p, precision = sight.projections[c], sight.precision[c, frame, marker]
-        depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
-        error = error_px[c, frame, marker]
+        depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
         if precision <= 0.0 or depth <= 0.05:  # m; a body that close to the lens is not seen either
-            error[:] = np.nan
+            error_px[c, frame, marker, 0] = error_px[c, frame, marker, 1] = np.nan
             continue
-        squared = 0.0
-        for axis in range(2):
-            projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) / depth
-            error[axis] = sight.uv_px[c, frame, marker, axis] - sight.bias_px[c, marker, axis] - projected
-            squared += (error[axis] * precision) ** 2
-            for i in range(3):
-                seen.to_pixel[c, axis, i] = (p[axis, i] - projected * p[2, i]) / depth
-        cost += 0.5 * sight.loss_scale**2 * np.log1p(squared / sight.loss_scale**2)
-        seen.weight[c] = precision**2 / (1.0 + squared / sight.loss_scale**2)
+        near = 1.0 / depth
+        u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * near
+        v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * near
+        off_u = sight.uv_px[c, frame, marker, 0] - sight.bias_px[c, marker, 0] - u
+        off_v = sight.uv_px[c, frame, marker, 1] - sight.bias_px[c, marker, 1] - v
+        error_px[c, frame, marker, 0], error_px[c, frame, marker, 1] = off_u, off_v
+        tamed = 1.0 + (off_u * off_u + off_v * off_v) * precision * precision * sharpness
+        cost += np.log(tamed)
         if order == RESIDUALS:
             continue
-        for axis in range(2):
-            row = seen.to_pixel[c, axis]
-            for i in range(3):
-                seen.pull[i] += seen.weight[c] * row[i] * error[axis]
-                if order == NORMAL_EQUATIONS:
-                    for j in range(3):
-                        seen.information[i, j] += seen.weight[c] * row[i] * row[j]
-    return cost
+        w = precision * precision / tamed
+        seen.weight[c] = w
+        u0, u1, u2 = (p[0, 0] - u * p[2, 0]) * near, (p[0, 1] - u * p[2, 1]) * near, (p[0, 2] - u * p[2, 2]) * near
+        v0, v1, v2 = (p[1, 0] - v * p[2, 0]) * near, (p[1, 1] - v * p[2, 1]) * near, (p[1, 2] - v * p[2, 2]) * near
+        pull_x += w * (u0 * off_u + v0 * off_v)
+        pull_y += w * (u1 * off_u + v1 * off_v)
+        pull_z += w * (u2 * off_u + v2 * off_v)
+        if order == NORMAL_EQUATIONS:
+            row = seen.to_pixel[c]
+            row[0, 0], row[0, 1], row[0, 2], row[1, 0], row[1, 1], row[1, 2] = u0, u1, u2, v0, v1, v2
+            xx += w * (u0 * u0 + v0 * v0)
+            yx += w * (u1 * u0 + v1 * v0)
+            yy += w * (u1 * u1 + v1 * v1)
+            zx += w * (u2 * u0 + v2 * v0)
+            zy += w * (u2 * u1 + v2 * v1)
+            zz += w * (u2 * u2 + v2 * v2)
+    seen.pull[0], seen.pull[1], seen.pull[2] = pull_x, pull_y, pull_z
+    if order == NORMAL_EQUATIONS:
+        _fill_symmetric(seen.information, xx, yx, yy, zx, zy, zz)
+    return 0.5 * sight.loss_scale**2 * cost
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_symmetric(matrix: Array, xx: float, yx: float, yy: float, zx: float, zy: float, zz: float) -> None:
+    matrix[0, 0], matrix[1, 1], matrix[2, 2] = xx, yy, zz
+    matrix[0, 1] = matrix[1, 0] = yx
+    matrix[0, 2] = matrix[2, 0] = zx
+    matrix[1, 2] = matrix[2, 1] = zy
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,7 +1,8 @@
 """One point from several cameras, compiled: linear start, pair hypotheses, Levenberg-Marquardt.
 
 Everything here works on a single point, in scalar code that numba compiles; :mod:`gonio.kernel.triangulation.points`
-runs it over all frames and keypoints. Image points are undistorted pixels; ``projections`` are ``K [R|t]``.
+runs it over all frames and keypoints. Image points are undistorted pixels; ``projections`` are ``K [R|t]``. Symmetric
+3 × 3 matrices are their lower triangles, row by row: 00, 10, 11, 20, 21, 22.
 """
 
 from typing import NamedTuple
@@ -14,6 +15,9 @@ Array = npt.NDArray[np.float64]
 
 SOLVED, TOO_FEW_CAMERAS, NOT_CONVERGED, BEHIND_CAMERA = 0, 1, 2, 3
 """How a point's solution ended."""
+
+NEAREST_M = 1e-6
+"""What is nearer to a camera's plane counts as behind it."""
 
 STEP_TOLERANCE_M = 1e-6  # a thousandth of what the best keypoint detector resolves
 MAX_ITERATIONS = 50
@@ -29,25 +33,22 @@ class Workspace(NamedTuple):
     x: Array  # (3,)
     trial: Array  # (3,)
     step: Array  # (3,)
-    gradient: Array  # (3,)
-    matrix: Array  # (3, 3)
-    curvature: Array  # (3, 3)
-    rows: Array  # (2, 4)
-    pull: Array  # (3,)
-    depth_m: Array  # (camera,)
-    trial_depth_m: Array  # (camera,)
-    trial_residual_px: Array  # (camera, 2)
-    scale_px: Array  # (camera,)
-    pair_weight: Array  # (camera,)
+    rays: Array  # (camera, 9): the normal matrix of each camera's ray, then its right side
+    sharpness: Array  # (camera,): 1 / scale², px⁻²; 0 is a plain square
+    normal: Array  # (15,): Hessian, curvature, gradient
+    trial_normal: Array  # (15,)
+
+
+HESSIAN, CURVATURE, GRADIENT = 0, 6, 12
+"""Where they begin in ``normal``."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def make_workspace(cameras: int) -> Workspace:
     """Allocate what one thread needs."""
     return Workspace(
-        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((2, 4)),
-        np.zeros(3), np.zeros(cameras), np.zeros(cameras), np.zeros((cameras, 2)), np.zeros(cameras), np.zeros(cameras),
-    )  # fmt: skip
+        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((cameras, 9)), np.zeros(cameras), np.zeros(15), np.zeros(15)
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -58,48 +59,21 @@ def copy_values(source: Array, target: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def linear_point(projections: Array, uv_px: Array, weight: Array, x: Array, work: Workspace) -> bool:
-    """Solve one point by weighted linear least squares (DLT) [Hartley & Sturm 1997, inhomogeneous form].
-
-    Each observation gives the rows ``(u p3 - p1) X = 0`` and ``(v p3 - p2) X = 0``. The rows are scaled to unit length of
-    their direction part, so that cameras of different focal lengths count alike. Fills ``x``; False if it is not determined
-    (by at least two rays that are not parallel).
-    """
-    normal, right, row = work.matrix, work.gradient, work.rows[0]
-    for i in range(3):
-        right[i] = 0.0
-        for j in range(3):
-            normal[i, j] = 0.0
-    for c in range(projections.shape[0]):
-        if weight[c] <= 0.0:
-            continue
-        for axis in range(2):
-            for i in range(4):
-                row[i] = uv_px[c, axis] * projections[c, 2, i] - projections[c, axis, i]
-            scale = weight[c] / (row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
-            for i in range(3):
-                right[i] -= scale * row[i] * row[3]
-                for j in range(3):
-                    normal[i, j] += scale * row[i] * row[j]
-    return solve_3x3(normal, right, x)
-
-
-@njit(cache=True, error_model="numpy")
 def solve_3x3(matrix: Array, right: Array, x: Array) -> bool:
     """Solve a symmetric positive definite 3 × 3 system by Cholesky, into ``x``; False where it is not definite."""
-    l00 = matrix[0, 0]
+    l00 = matrix[0]
     if not l00 > 0.0:
         return False
     l00 = np.sqrt(l00)
-    l10, l20 = matrix[1, 0] / l00, matrix[2, 0] / l00
-    l11 = matrix[1, 1] - l10 * l10
+    l10, l20 = matrix[1] / l00, matrix[3] / l00
+    l11 = matrix[2] - l10 * l10
     # Relative to the diagonal, so that the test means the same in pixels and in metres.
-    if not l11 > 1e-12 * matrix[1, 1]:
+    if not l11 > 1e-12 * matrix[2]:
         return False
     l11 = np.sqrt(l11)
-    l21 = (matrix[2, 1] - l20 * l10) / l11
-    l22 = matrix[2, 2] - l20 * l20 - l21 * l21
-    if not l22 > 1e-12 * matrix[2, 2]:
+    l21 = (matrix[4] - l20 * l10) / l11
+    l22 = matrix[5] - l20 * l20 - l21 * l21
+    if not l22 > 1e-12 * matrix[5]:
         return False
     l22 = np.sqrt(l22)
     y0 = right[0] / l00
@@ -113,8 +87,8 @@ def solve_3x3(matrix: Array, right: Array, x: Array) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def invert_3x3(matrix: Array, inverse: Array) -> None:
-    """Fill the inverse of a symmetric matrix; it stays as it is where there is none."""
-    a, b, c, d, e, f = matrix[0, 0], matrix[1, 0], matrix[2, 0], matrix[1, 1], matrix[2, 1], matrix[2, 2]
+    """Fill the full inverse of a symmetric matrix; it stays as it is where there is none."""
+    a, b, d, c, e, f = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4], matrix[5]
     first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * first + b * second + c * third
     if determinant != 0.0:
@@ -127,147 +101,196 @@ def invert_3x3(matrix: Array, inverse: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def reprojection(projections: Array, uv_px: Array, weight: Array, x: Array, residual_px: Array, depth_m: Array) -> bool:
-    """Fill ``residual_px`` (observed minus projected) and ``depth_m`` of each camera; False if one is behind its camera."""
+def ray_equations(projections: Array, uv_px: Array, weight: Array, rays: Array) -> None:
+    """Fill the normal equations of each camera's ray [DLT, Hartley & Sturm 1997, inhomogeneous form].
+
+    An observation gives the rows ``(u p3 - p1) X = 0`` and ``(v p3 - p2) X = 0``. They are scaled to unit length of their
+    direction part, so that cameras of different focal lengths count alike; no confidence is in them yet.
+    """
     for c in range(projections.shape[0]):
-        p = projections[c]
-        w = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
-        depth_m[c] = w
+        for k in range(9):
+            rays[c, k] = 0.0
         if weight[c] <= 0.0:
-            residual_px[c, 0] = 0.0
-            residual_px[c, 1] = 0.0
             continue
-        if w <= 1e-6:
-            return False
-        residual_px[c, 0] = uv_px[c, 0] - (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) / w
-        residual_px[c, 1] = uv_px[c, 1] - (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) / w
-    return True
+        p = projections[c]
+        for axis in range(2):
+            at = uv_px[c, axis]
+            r0, r1, r2 = at * p[2, 0] - p[axis, 0], at * p[2, 1] - p[axis, 1], at * p[2, 2] - p[axis, 2]
+            scale = 1.0 / (r0 * r0 + r1 * r1 + r2 * r2)
+            offset = scale * (at * p[2, 3] - p[axis, 3])
+            rays[c, 0] += scale * r0 * r0
+            rays[c, 1] += scale * r1 * r0
+            rays[c, 2] += scale * r1 * r1
+            rays[c, 3] += scale * r2 * r0
+            rays[c, 4] += scale * r2 * r1
+            rays[c, 5] += scale * r2 * r2
+            rays[c, 6] -= offset * r0
+            rays[c, 7] -= offset * r1
+            rays[c, 8] -= offset * r2
 
 
 @njit(cache=True, error_model="numpy")
-def scale_in_image(depth_m: Array, focal_px: Array, scale_m: float, scale_px: Array) -> None:
-    """Fill the robust scale in each camera's pixels: ``scale_m`` as seen at the point's depth.
+def linear_point(projections: Array, uv_px: Array, weight: Array, x: Array, work: Workspace) -> bool:
+    """Solve one point by weighted linear least squares into ``x``; False if no two rays that aren't parallel determine it."""
+    ray_equations(projections, uv_px, weight, work.rays)
+    total = work.normal
+    for k in range(9):
+        total[k] = 0.0
+        for c in range(len(weight)):
+            total[k] += weight[c] * work.rays[c, k]
+    return solve_3x3(total, total[6:], x)
+
+
+@njit(cache=True, error_model="numpy")
+def find_residuals(projections: Array, uv_px: Array, weight: Array, x: Array, residual_px: Array) -> bool:
+    """Fill ``residual_px`` (observed minus projected), 0 for a camera without weight; False if ``x`` is behind a camera."""
+    in_front = True
+    for c in range(projections.shape[0]):
+        residual_px[c, 0] = residual_px[c, 1] = 0.0
+        if weight[c] <= 0.0:
+            continue
+        p = projections[c]
+        depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
+        in_front &= depth > NEAREST_M
+        residual_px[c, 0] = uv_px[c, 0] - (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) / depth
+        residual_px[c, 1] = uv_px[c, 1] - (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) / depth
+    return in_front
+
+
+@njit(cache=True, error_model="numpy")
+def set_scale(projections: Array, focal_px: Array, weight: Array, scale_m: float, x: Array, sharpness: Array) -> None:
+    """Fill the robust scale in each camera's pixels, as ``1 / scale²``: ``scale_m`` as seen at the point's depth.
 
     So what counts as an outlier is a distance in the lab, the same for a near and a far camera and for any image size.
     """
-    for c in range(len(depth_m)):
-        scale_px[c] = np.inf
-        if not np.isinf(scale_m) and depth_m[c] > 0.0:
-            scale_px[c] = focal_px[c] * scale_m / depth_m[c]
+    for c in range(projections.shape[0]):
+        p = projections[c, 2]
+        depth = p[0] * x[0] + p[1] * x[1] + p[2] * x[2] + p[3]
+        sharpness[c] = (depth / (focal_px[c] * scale_m)) ** 2 if weight[c] > 0.0 and depth > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def cost_of(residual_px: Array, weight: Array, scale_px: Array, enough: float) -> float:
-    """Sum the cost of the residuals: ``w s² log(1 + (r/s)²)`` (Cauchy), or ``w r²`` where the scale is infinite.
+def loss(r2: float, sharpness: float) -> float:
+    """Give ``s² log(1 + (r/s)²)`` (Cauchy), or ``r²`` for an infinite scale."""
+    return np.log(1.0 + r2 * sharpness) / sharpness if sharpness > 0.0 else r2
 
-    Infinite as soon as it is more than ``enough``.
-    """
+
+@njit(cache=True, error_model="numpy")
+def cost_of_pair(
+    projections: Array, focal_px: Array, uv_px: Array, weight: Array, scale_m: float, x: Array, enough: float
+) -> float:
+    """Sum the robust cost of all observations at ``x``; infinite behind a camera, or as soon as it is ``enough``."""
     total = 0.0
-    for c in range(len(weight)):
+    for c in range(projections.shape[0]):
         if weight[c] <= 0.0:
             continue
-        r2 = residual_px[c, 0] ** 2 + residual_px[c, 1] ** 2
-        if np.isinf(scale_px[c]):
-            total += weight[c] * r2
-        else:
-            total += weight[c] * scale_px[c] ** 2 * np.log1p(r2 / scale_px[c] ** 2)
-        if total > enough:
+        p = projections[c]
+        depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
+        if depth <= NEAREST_M:
+            return np.inf
+        u = uv_px[c, 0] - (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) / depth
+        v = uv_px[c, 1] - (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) / depth
+        total += weight[c] * loss(u * u + v * v, (depth / (focal_px[c] * scale_m)) ** 2)
+        if total >= enough:
             return np.inf
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def normal_equations(
-    projections: Array,
-    residual_px: Array,
-    depth_m: Array,
-    weight: Array,
-    scale_px: Array,
-    x: Array,
-    hessian: Array,
-    work: Workspace,
-) -> None:
-    """Fill the derivatives of :func:`cost_of` (halved) at ``x``: ``hessian``, the workspace's ``curvature`` and ``gradient``.
+def cost_and_derivatives(
+    projections: Array, uv_px: Array, weight: Array, sharpness: Array, x: Array, enough: float, normal: Array
+) -> float:
+    """Sum the cost at ``x`` and fill its derivatives (halved) into ``normal``: Hessian, curvature, gradient.
 
-    ``hessian`` is the Gauss-Newton one with the loss's weights: the information that the observations carry.
-    ``curvature`` adds the loss's second derivative along each residual [Triggs et al. 2000, §4.3], which may leave it
-    indefinite: without it the iteration converges linearly, in up to a hundred steps.
+    The Hessian is the Gauss-Newton one with the loss's weights: the information that the observations carry. The curvature
+    adds the loss's second derivative along each residual [Triggs et al. 2000, §4.3], which may leave it indefinite: without
+    it the iteration converges linearly, in up to a hundred steps. Infinite behind a camera, or as soon as the cost is more
+    than ``enough``; ``normal`` is then of no use.
     """
-    curvature, gradient, rows, pull = work.curvature, work.gradient, work.rows, work.pull
-    for i in range(3):
-        gradient[i] = 0.0
-        for j in range(3):
-            hessian[i, j] = curvature[i, j] = 0.0
+    total = 0.0
+    for k in range(15):
+        normal[k] = 0.0
     for c in range(projections.shape[0]):
         if weight[c] <= 0.0:
             continue
-        w = weight[c]
-        correction = 0.0
-        r2 = residual_px[c, 0] ** 2 + residual_px[c, 1] ** 2
-        if not np.isinf(scale_px[c]):
-            w /= 1.0 + r2 / scale_px[c] ** 2
-            correction = -2.0 / (scale_px[c] ** 2 + r2) * w
         p = projections[c]
-        for axis in range(2):
-            projected = (p[axis, 0] * x[0] + p[axis, 1] * x[1] + p[axis, 2] * x[2] + p[axis, 3]) / depth_m[c]
-            for i in range(3):
-                rows[axis, i] = (p[axis, i] - projected * p[2, i]) / depth_m[c]  # d(projected)/dx
-        for i in range(3):
-            pull[i] = rows[0, i] * residual_px[c, 0] + rows[1, i] * residual_px[c, 1]
-            gradient[i] += w * pull[i]
-        for i in range(3):
-            for j in range(3):
-                information = w * (rows[0, i] * rows[0, j] + rows[1, i] * rows[1, j])
-                hessian[i, j] += information
-                curvature[i, j] += information + correction * pull[i] * pull[j]
+        depth = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
+        if depth <= NEAREST_M:
+            return np.inf
+        near = 1.0 / depth
+        u = (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) * near
+        v = (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) * near
+        off_u, off_v = uv_px[c, 0] - u, uv_px[c, 1] - v
+        r2 = off_u * off_u + off_v * off_v
+        total += weight[c] * loss(r2, sharpness[c])
+        if total > enough:
+            return np.inf
+        kept = 1.0 / (1.0 + r2 * sharpness[c])
+        w = weight[c] * kept
+        bend = -2.0 * w * kept * sharpness[c]
+        # The rows of d(projected)/dx.
+        u0, u1, u2 = (p[0, 0] - u * p[2, 0]) * near, (p[0, 1] - u * p[2, 1]) * near, (p[0, 2] - u * p[2, 2]) * near
+        v0, v1, v2 = (p[1, 0] - v * p[2, 0]) * near, (p[1, 1] - v * p[2, 1]) * near, (p[1, 2] - v * p[2, 2]) * near
+        g0, g1, g2 = u0 * off_u + v0 * off_v, u1 * off_u + v1 * off_v, u2 * off_u + v2 * off_v
+        normal[0] += w * (u0 * u0 + v0 * v0)
+        normal[1] += w * (u1 * u0 + v1 * v0)
+        normal[2] += w * (u1 * u1 + v1 * v1)
+        normal[3] += w * (u2 * u0 + v2 * v0)
+        normal[4] += w * (u2 * u1 + v2 * v1)
+        normal[5] += w * (u2 * u2 + v2 * v2)
+        normal[6] += bend * g0 * g0
+        normal[7] += bend * g1 * g0
+        normal[8] += bend * g1 * g1
+        normal[9] += bend * g2 * g0
+        normal[10] += bend * g2 * g1
+        normal[11] += bend * g2 * g2
+        normal[12] += w * g0
+        normal[13] += w * g1
+        normal[14] += w * g2
+    for k in range(6):
+        normal[CURVATURE + k] += normal[HESSIAN + k]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
-def damped_step(hessian: Array, damping: float, work: Workspace) -> tuple[bool, bool]:
+def damped_step(normal: Array, damping: float, work: Workspace) -> tuple[bool, bool]:
     """Fill the step by the damped normal equations: by the curvature if it is positive definite, else by the Hessian.
 
     Returns whether there is a step, and whether it is the curvature's.
     """
-    damped = work.matrix
-    for i in range(3):
-        for j in range(3):
-            damped[i, j] = work.curvature[i, j]
-        damped[i, i] += damping * hessian[i, i]
-    if solve_3x3(damped, work.gradient, work.step):
+    damped, gradient = work.trial_normal, normal[GRADIENT:]
+    for k in range(6):
+        damped[k] = normal[CURVATURE + k]
+    damped[0] += damping * normal[0]
+    damped[2] += damping * normal[2]
+    damped[5] += damping * normal[5]
+    if solve_3x3(damped, gradient, work.step):
         return True, True
-    for i in range(3):  # between two explanations of the observations; the reweighted Hessian still leads downhill
-        for j in range(3):
-            damped[i, j] = hessian[i, j]
-        damped[i, i] *= 1.0 + damping
-    return solve_3x3(damped, work.gradient, work.step), False
+    for k in range(6):  # between two explanations of the observations; the reweighted Hessian still leads downhill
+        damped[k] = normal[HESSIAN + k]
+    damped[0] *= 1.0 + damping
+    damped[2] *= 1.0 + damping
+    damped[5] *= 1.0 + damping
+    return solve_3x3(damped, gradient, work.step), False
 
 
 @njit(cache=True, error_model="numpy")
-def refine_point(  # noqa: PLR0913 - what it fills is passed in
-    projections: Array,
-    focal_px: Array,
-    uv_px: Array,
-    weight: Array,
-    scale_m: float,
-    x: Array,
-    residual_px: Array,
-    hessian: Array,
-    work: Workspace,
+def refine_point(
+    projections: Array, focal_px: Array, uv_px: Array, weight: Array, scale_m: float, x: Array, work: Workspace
 ) -> int:
-    """Refine one point ``x`` by Levenberg-Marquardt on the (robust) weighted reprojection error.
+    """Refine one point ``x`` by Levenberg-Marquardt on the (robust) weighted reprojection error; gives its status.
 
-    Overwrites ``x`` and fills ``residual_px`` and the ``hessian`` at the solution. Returns its status.
+    Overwrites ``x`` and leaves the Hessian at the solution in the workspace's ``normal``.
     """
-    trial, step, scale_px = work.trial, work.step, work.scale_px
-    if not reprojection(projections, uv_px, weight, x, residual_px, work.depth_m):
-        return BEHIND_CAMERA
+    trial, step, normal = work.trial, work.step, work.normal
     # Held from here on: a scale that followed the point would reward moving away from a camera that disagrees.
-    scale_in_image(work.depth_m, focal_px, scale_m, scale_px)
-    cost = cost_of(residual_px, weight, scale_px, np.inf)
+    set_scale(projections, focal_px, weight, scale_m, x, work.sharpness)
+    cost = cost_and_derivatives(projections, uv_px, weight, work.sharpness, x, np.inf, normal)
+    if not np.isfinite(cost):
+        return BEHIND_CAMERA
     damping = 1e-3
-    normal_equations(projections, residual_px, work.depth_m, weight, scale_px, x, hessian, work)
     for _ in range(MAX_ITERATIONS):
-        solvable, curved = damped_step(hessian, damping, work)
+        solvable, curved = damped_step(normal, damping, work)
         if not solvable:
             return TOO_FEW_CAMERAS
         for i in range(3):
@@ -275,17 +298,12 @@ def refine_point(  # noqa: PLR0913 - what it fills is passed in
         length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         # Newton's steps square the error, in units of the loss's scale; the damping leaves its share of it.
         left = length * (CONTRACTION + 10.0 * damping + length / scale_m)
-        trial_cost = np.inf
-        if reprojection(projections, uv_px, weight, trial, work.trial_residual_px, work.trial_depth_m):
-            trial_cost = cost_of(work.trial_residual_px, weight, scale_px, cost)
+        trial_cost = cost_and_derivatives(projections, uv_px, weight, work.sharpness, trial, cost, work.trial_normal)
         if trial_cost <= cost:
             cost = trial_cost
             copy_values(trial, x)
-            copy_values(work.trial_depth_m, work.depth_m)
-            for c in range(len(weight)):
-                copy_values(work.trial_residual_px[c], residual_px[c])
+            copy_values(work.trial_normal, normal)
             damping = max(damping / 10.0, 1e-12)
-            normal_equations(projections, residual_px, work.depth_m, weight, scale_px, x, hessian, work)
             if curved and left < 0.1 * STEP_TOLERANCE_M:
                 return SOLVED
         else:
@@ -305,20 +323,19 @@ def best_pair(
     no pair gives a point in front of all cameras.
     """
     cameras, best_cost = len(weight), np.inf
-    x, residual_px, depth_m, pair_weight = work.x, work.trial_residual_px, work.depth_m, work.pair_weight
-    for c in range(cameras):
-        pair_weight[c] = 0.0
+    x, both = work.x, work.normal
+    ray_equations(projections, uv_px, weight, work.rays)
     for a in range(cameras):
+        if weight[a] <= 0.0:
+            continue
         for b in range(a + 1, cameras):
-            if weight[a] <= 0.0 or weight[b] <= 0.0:
+            if weight[b] <= 0.0:
                 continue
-            pair_weight[a] = pair_weight[b] = 1.0
-            determined = linear_point(projections, uv_px, pair_weight, x, work)
-            pair_weight[a] = pair_weight[b] = 0.0
-            if not determined or not reprojection(projections, uv_px, weight, x, residual_px, depth_m):
+            for k in range(9):
+                both[k] = work.rays[a, k] + work.rays[b, k]
+            if not solve_3x3(both, both[6:], x):
                 continue
-            scale_in_image(depth_m, focal_px, scale_m, work.scale_px)
-            cost = cost_of(residual_px, weight, work.scale_px, best_cost)
+            cost = cost_of_pair(projections, focal_px, uv_px, weight, scale_m, x, best_cost)
             if cost < best_cost:
                 best_cost = cost
                 copy_values(x, best)
@@ -345,7 +362,6 @@ def solve_points(  # noqa: PLR0913 - what it fills is passed in
 
     ``inverse`` (point, 3, 3) is that of the Hessian, NaN where there is none.
     """
-    hessian = np.zeros((3, 3))
     work = make_workspace(weight.shape[1])
     for i in range(start, stop):
         xyz[i] = np.nan
@@ -362,8 +378,8 @@ def solve_points(  # noqa: PLR0913 - what it fills is passed in
             xyz[i] = np.nan
             continue
         if refine:
-            status[i] = refine_point(projections, focal_px, seen, trust, scale_m, xyz[i], residual_px[i], hessian, work)
-            invert_3x3(hessian, inverse[i])
-        else:
-            in_front = reprojection(projections, seen, trust, xyz[i], residual_px[i], work.depth_m)
+            status[i] = refine_point(projections, focal_px, seen, trust, scale_m, xyz[i], work)
+            invert_3x3(work.normal, inverse[i])
+        in_front = find_residuals(projections, seen, trust, xyz[i], residual_px[i])
+        if not refine:
             status[i] = SOLVED if in_front else BEHIND_CAMERA

@@ -7,7 +7,6 @@ sit in the segments is the model's: a detector's habit adds to these errors.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,6 @@ from gonio.bench import Bench
 from gonio.bench.points.chain import choose, find_motion, find_points
 from gonio.bench.realism import read_balancing
 from gonio.demo.virtual import true_motion
-from gonio.errors import GonioError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.osim import read_osim
 from gonio.kernel.body.forward import marker_positions
@@ -32,7 +30,7 @@ from gonio.records import BodyModel, Camera, Rig, VirtualTrial
 from gonio.resources import models_dir
 
 WALKERS, FIRST_SEED = 12, 100
-VIEWS_DEG = {"side": 0.0, "oblique": 45.0, "front": 90.0}
+VIEWS_DEG = {"side": 0.0, "oblique": 45.0, "frontal": 90.0}
 DISTANCE_M, FOCAL_PX, NOISE_PX = 5.0, 900.0, 2.0
 RATE_HZ, DURATION_S = 60.0, 2.9
 LENGTH_SD = 0.03
@@ -55,17 +53,17 @@ class Score(NamedTuple):
     converged: bool
 
 
-def run(build_dir: Path) -> dict[str, Any]:
-    """Measure all metrics of the bench, and give the content of its JSON file."""
-    bench = Bench("one_camera")
-    bench.notes.append((__doc__ or "").split("\n\n")[1].replace("\n", " "))
-    for name, view_deg in VIEWS_DEG.items():
-        summarise(bench, name, [measure(FIRST_SEED + number, view_deg) for number in range(WALKERS)])
-    try:
-        measure_balancing(bench)
-    except GonioError as error:
-        bench.leave_out("balancing_*", error)
-    return bench.to_json()
+def measure_walkers(bench: Bench) -> None:
+    """Add the metrics of the virtual walkers."""
+    bench.explain(__doc__)
+    views = {
+        name: [measure(FIRST_SEED + number, view_deg) for number in range(WALKERS)]
+        for name, view_deg in VIEWS_DEG.items()
+    }
+    for name, scores in views.items():
+        summarise(bench, name, scores)
+    covered = 100 * _covered([score for scores in views.values() for score in scores])
+    bench.add("human_coverage95_pct", covered, "%", at_least=90, at_most=98)
 
 
 def measure_balancing(bench: Bench) -> None:
@@ -99,26 +97,30 @@ def measure_balancing(bench: Bench) -> None:
         known = np.isfinite(apart)
         within = 100 * float((np.abs(apart) < band)[known].mean()) if known.any() else np.nan
         marked = sum(f.code == "view-unreliable" and "knee" in f.where for f in outcome.findings)
-        bench.add(f"balancing_{camera.name}_view_deg", float(np.degrees(outcome.value.view_rad)), "deg")
-        bench.add(f"balancing_{camera.name}_knee_rms_deg", float(np.sqrt(np.nanmean(apart**2))), "deg")
-        bench.add(f"balancing_{camera.name}_within_band_pct", within, "%")
-        bench.add(f"balancing_{camera.name}_knees_marked", marked, "of 2")
+        bench.add(f"human_balancing_{camera.name}_view_deg", float(np.degrees(outcome.value.view_rad)), "deg")
+        bench.add(f"human_balancing_{camera.name}_knee_rms_deg", float(np.sqrt(np.nanmean(apart**2))), "deg")
+        bench.add(f"human_balancing_{camera.name}_within_band_pct", within, "%")
+        bench.add(f"human_balancing_{camera.name}_knees_marked", marked, "of 2")
 
 
 def summarise(bench: Bench, view: str, scores: list[Score]) -> None:
     """Put one view's scores into the bench."""
-    error, sd = np.stack([s.error_deg for s in scores]), np.stack([s.sd_deg for s in scores])
-    rms = np.sqrt(np.nanmean(error**2, axis=2))
+    rms = np.sqrt(np.nanmean(np.stack([s.error_deg for s in scores]) ** 2, axis=2))
     goal = {"side": 2.5, "oblique": 3.5}.get(view)
-    bench.add(f"{view}_knee_rms_deg", float(np.sqrt(np.mean(rms**2))), "deg", at_most=goal)
-    bench.add(f"{view}_knee_rms_median_deg", float(np.median(rms)), "deg")
-    bench.add(f"{view}_knee_rms_worst_deg", float(rms.max()), "deg")
-    covered = 100 * float((np.abs(error) < 1.96 * sd)[np.isfinite(error)].mean())
-    bench.add(f"{view}_covered_pct", covered, "%", at_least=90, at_most=98)
+    bench.add(f"human_knee_deg_{view}", float(np.sqrt(np.mean(rms**2))), "deg", at_most=goal)
+    bench.add(f"human_knee_deg_{view}_median", float(np.median(rms)), "deg")
+    bench.add(f"human_knee_deg_{view}_worst", float(rms.max()), "deg")
+    bench.add(f"human_coverage95_pct_{view}", 100 * _covered(scores), "%", at_least=90, at_most=98)
     marked = np.array([s.marked for s in scores])
-    bench.add(f"{view}_marked_pct", 100 * float(marked.mean()), "%")
-    bench.add(f"{view}_large_unmarked", int((~marked & (rms > MEASURED_RMS_DEG)).sum()), "knees", at_most=0)
-    bench.add(f"{view}_converged_pct", 100 * float(np.mean([s.converged for s in scores])), "%")
+    bench.add(f"human_marked_pct_{view}", 100 * float(marked.mean()), "%")
+    bench.add(f"human_large_unmarked_{view}", int((~marked & (rms > MEASURED_RMS_DEG)).sum()), "knees", at_most=0)
+    bench.add(f"human_converged_pct_{view}", 100 * float(np.mean([s.converged for s in scores])), "%")
+
+
+def _covered(scores: list[Score]) -> float:
+    """Give the share of the knees' errors that lies in the 95 % band."""
+    error, sd = np.stack([s.error_deg for s in scores]), np.stack([s.sd_deg for s in scores])
+    return float((np.abs(error) < 1.96 * sd)[np.isfinite(error)].mean())
 
 
 def measure(seed: int, view_deg: float) -> Score:

@@ -6,21 +6,17 @@ are solved, the parts carved. Beside it stands, as in the paper, a separate reco
 body stands still in each of them before ``STILL`` other cameras, its corners are triangulated, and the motion of each part
 between configurations is that which lays its corners on each other. The table holds, for each joint, how far the two are apart:
 quaternion dot product, length_1 and length_2, as medians over the seeds of the worst picture (the dot product: of the mean).
-``GONIO_BENCH_SEEDS`` sets the number of bodies of each kind (3 without it).
+``GONIO_BENCH_DRAWN`` sets the number of bodies of each kind (3 without it).
 """
 
 import os
-import time
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from threadpoolctl import threadpool_limits
 
 from gonio.bench import Bench
-from gonio.bench.articulated import errors_of
+from gonio.bench.joints.bodies import errors_of
 from gonio.errors import GonioError
 from gonio.kernel.articulated.chain import solve_body
 from gonio.kernel.articulated.starts import nearest_to_rays
@@ -52,34 +48,30 @@ MISFIT_PX = 0.5
 """A triangulated corner that is off by more in any picture was covered there by something else."""
 
 
-def run(build_dir: Path) -> dict[str, Any]:
-    """Measure all metrics of the bench, and give the content of its JSON file."""
-    bench = Bench("articulated_paper")
-    seeds = int(os.environ.get("GONIO_BENCH_SEEDS", "3"))
+def measure_drawn(bench: Bench) -> None:
+    """Add the metrics of bodies that are found in pictures."""
+    seeds = int(os.environ.get("GONIO_BENCH_DRAWN", "3"))
+    bench.explain(__doc__)
     bench.notes.append(
-        f"{seeds} bodies of each kind, 4 pictures each; {STILL} cameras for the separate reconstruction."
+        f"{seeds} drawn bodies of each kind, 4 pictures each; {STILL} cameras for the separate reconstruction."
     )
     failed = 0
     for shapes in BODIES.values():
         rows: dict[str, list[dict[str, float]]] = {shape.name: [] for shape in shapes}
         for seed in range(seeds):
             try:
-                with threadpool_limits(limits=1, user_api="blas"):
-                    for part, row in _evaluated(shapes, seed).items():
-                        rows[part].append(row)
+                for part, row in _evaluated(shapes, seed).items():
+                    rows[part].append(row)
             except GonioError as error:
                 failed += 1
                 bench.notes.append(f"{', '.join(rows)}, seed {seed}: {error}")
         for part, measured in rows.items():
             for name in measured[0] if measured else ():
                 values = [row[name] for row in measured]
-                bench.add(
-                    f"{name}_{part.replace(' ', '_')}", float(np.median(values)), UNITS[name], **LIMITS.get(name, {})
-                )
+                at = f"drawn_{name}_{part.replace(' ', '_')}"
+                bench.add(at, float(np.median(values)), UNITS[name], **LIMITS.get(name, {}))
     # Drawn at random, some pictures show too few marks of a part in common: they are refused by name, and that is right.
-    bench.add("solved", 100 * (1 - failed / (seeds * len(BODIES))), "%", at_least=80.0)
-    _speed(bench)
-    return bench.to_json()
+    bench.add("drawn_solved_pct", 100 * (1 - failed / (seeds * len(BODIES))), "%", at_least=80.0)
 
 
 UNITS = {
@@ -221,22 +213,3 @@ def _triangulated(
 def _laid(before: Float[np.ndarray, "point 3"], after: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "4 4"]:
     both = np.isfinite(before[:, 0]) & np.isfinite(after[:, 0])
     return align(before[both], after[both])
-
-
-def _speed(bench: Bench) -> None:
-    """Time the carving of a cabin in four pictures, surface and colours included, on one core."""
-    shapes = BODIES["excavator"][:1]
-    body = virtual_body(shapes, 0, noise_px=0.0)
-    cameras = _finer(body.cameras)
-    papered = _papered(shapes)
-    photos = [_photo(camera, body, papered, i, 0) for i, camera in enumerate(cameras)]
-    pictures = {camera.name: photo.rgb for camera, photo in zip(cameras, photos, strict=True)}
-    masks = _true_masks(shapes, cameras, photos)
-    Ts = body.Ts_world_part["cab"]
-    for voxels in (128, 256):
-        seconds: list[float] = []
-        for _ in range(3):
-            begun = time.process_time()
-            carve_part(tuple(silhouettes_of("cab", masks, cameras, Ts, pictures)), voxels)
-            seconds.append(time.process_time() - begun)
-        bench.add(f"carving_{voxels}", 1e3 * float(np.median(seconds)), "ms/part")
