@@ -134,7 +134,7 @@ def read_tracks(path: Path, card: BodyCard, pictures: tuple[str, ...]) -> tuple[
 def _part(name: str, card: _PartCard, uv_px: Float[np.ndarray, "picture point 2"], points: list[str]) -> Part:
     if len(points) < 6:
         raise InputError(
-            f"Part {name} has {len(points)} points.",
+            f"Part {name} has too few points: {len(points)}.",
             hint="Mark six points or more on each part, better ten.",
             code="part-with-few-points",
         )

@@ -111,7 +111,7 @@ def read_pressure(
                 break
     if count < 10:
         raise InputError(
-            f"{name} has {count} samples between {span_s[0]:g} and {span_s[1]:g} s of the video; its times run from "
+            f"{name} has too few samples between {span_s[0]:g} and {span_s[1]:g} s of the video: {count}. Its times run from "
             f"{first_s:.3f} s on.",
             hint="Check the unit of its clock and the time at which the video starts: time.zero in the card, a time stamp "
             'or "first".',

@@ -289,7 +289,7 @@ def fit_view(
     confidence = np.where(confidence >= parameters.reconstruction.min_confidence, confidence, 0.0)
     if len(uv_px) < FEWEST_FRAMES:
         raise CaptureError(
-            f"The recording has {len(uv_px)} pictures that were looked at; one camera needs movement: {FEWEST_FRAMES} or more.",
+            f"Too few pictures were looked at: {len(uv_px)}. One camera needs movement: {FEWEST_FRAMES} or more.",
             hint="Film one stride or more.",
             code="monocular-too-short",
         )

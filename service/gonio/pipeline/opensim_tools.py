@@ -64,7 +64,7 @@ def run_kinematics(setup_file: Path) -> tuple[Motion, ToolResult]:
     count = len(motion.times_s)
     if unknown := int(np.isnan(motion.values).any(axis=1).sum()):
         remarks.append(
-            f"{unknown} of {count} frames show too few markers: what they leave unknown is nan in {output.name}."
+            f"In {unknown} of {count} frames too few markers are seen: what they leave unknown is nan in {output.name}."
         )
     if diverged := int((motion.status == NOT_CONVERGED).sum()):
         remarks.append(f"{diverged} of {count} frames did not converge.")

@@ -68,7 +68,7 @@ class Background:
             )
         if self.floor_points and len(self.floor_points) < 3:
             raise InputError(
-                f"The floor has {len(self.floor_points)} points.",
+                f"The floor has too few points: {len(self.floor_points)}.",
                 hint="Mark three points of the floor or more, not on one line.",
                 code="floor-points-few",
             )

@@ -169,7 +169,7 @@ def test_a_clock_may_start_anywhere(write):
     table[["R", "L"]] /= 9.80665
     table[["Rx", "Lx"]] = 250 - 1e3 * table[["Rx", "Lx"]]
     table[["Ry", "Ly"]] = 40 + 1e3 * table[["Ry", "Ly"]] * [1, -1]
-    with pytest.raises(InputError, match=r"0 samples between -60 and 600 s") as raised:
+    with pytest.raises(InputError, match=r"too few samples between -60 and 600 s of the video: 0") as raised:
         read_pressure(*write(table, FORCES.format(zero=0)))
     assert raised.value.code == "pressure-clock"
     stream = read_pressure(*write(table, FORCES.format(zero='"first"')))
