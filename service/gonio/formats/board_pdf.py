@@ -84,14 +84,16 @@ def _ruler_mm(room_mm: float) -> float:
     return float(min(200.0, 10 * np.floor(room_mm / 10)))
 
 
-def _add_ruler(axes: Axes, start: Sequence[float], length: float, colour: str, *, upright: bool = False) -> None:
+def _add_ruler(
+    axes: Axes, start: Sequence[float], length: float, colour: str, *, upright: bool = False, zorder: int = 1
+) -> None:
     """Draw a ruler from ``start`` to the right with its ticks below, or downwards with its ticks to the left."""
     ticks = [(0.0, 0.0, length, 0.2)]
     ticks += [(at - 0.1, 0.0, 0.2, 2.0 if at % 50 == 0 else 1.2) for at in np.arange(0, length + 1, 10)]
     if upright:
         ticks = [(-across - high, along, high, wide) for along, across, wide, high in ticks]
     marks = [Rectangle((start[0] + x, start[1] + y), w, h) for x, y, w, h in ticks]
-    axes.add_collection(PatchCollection(marks, facecolors=colour, linewidths=0, zorder=5))
+    axes.add_collection(PatchCollection(marks, facecolors=colour, linewidths=0, zorder=zorder))
 
 
 def _tiles(page_mm: Sequence[float], tile_mm: Sequence[float]) -> list[tuple[float, float, float, float]]:
@@ -127,7 +129,7 @@ def _mark_tile(axes: Axes, window: tuple[float, float, float, float], words: str
         Rectangle((left + border, top + border), wide, high, fill=False, edgecolor="#999999", linewidth=0.3, zorder=4)
     )
     across, down = _ruler_mm(wide), _ruler_mm(high)
-    _add_ruler(axes, (left + border, top + height - border), across, "black")
-    _add_ruler(axes, (left + border, top + border), down, "black", upright=True)
+    _add_ruler(axes, (left + border, top + height - border), across, "black", zorder=5)
+    _add_ruler(axes, (left + border, top + border), down, "black", upright=True, zorder=5)
     words += f"; its rulers are {across:g} mm (below) and {down:g} mm (left) long"
     axes.text(left + border, top + border - 1.5, words, fontsize=5.5, zorder=5, family="DejaVu Sans")
