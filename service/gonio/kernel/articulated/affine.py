@@ -1,10 +1,10 @@
 """Turns of a part from its marks alone: what the pictures of a small thing say if nearness is left out.
 
-A part that is small against its distance is seen in nearly parallel rays. The marks of m points in n pictures, each picture's mean
-taken away, are then of rank three, and the factors are the part's shape and the pictures' views of it [Tomasi & Kanade 1992].
-Any 3 × 3 matrix between the factors fits; that a picture's two rows are of one length and square to each other leaves a turn
-and one reflection: the part, or its mirror image with depth turned inside out (Necker's cube). It takes three pictures, and four
-points that are not in one plane.
+A part that is small against its distance is seen in nearly parallel rays. The marks of m points in n pictures, each picture's
+mean taken away, are then of rank three, and the factors are the part's shape and the pictures' views of it [Tomasi & Kanade
+1992]. Any 3 × 3 matrix between the factors fits; that a picture's two rows are of one length and square to each other leaves
+a turn and one reflection: the part, or its mirror image with depth turned inside out (Necker's cube). It takes three
+pictures, and four points that are not in one plane.
 
 Such turns are off by what nearness does, ten degrees or so, however far the part turned: good to begin a descent with.
 """
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from gonio.kernel.articulated.bundle import Sights
 
-DRAWS = 64
+DRAWS = 200
 """So many sets of points are drawn; those that fit parallel rays best are believed, because they hold no wrong mark."""
 
 SET = 6
@@ -22,42 +22,48 @@ SET = 6
 
 
 def affine_turns(
-    sights: Sights, sets: int, rng: np.random.Generator
+    sights: Sights, sets: int, rng: np.random.Generator, *, size: int = SET
 ) -> tuple[Float[np.ndarray, "start picture 3 3"], Bool[np.ndarray, "start point"]]:
     """Give the turns against the reference picture by the best few sets of points, each with its mirror image, and the sets.
 
     The first set is all points that every picture shows; none is given where these are fewer than four, or pictures than three.
     """
-    common = np.flatnonzero(sights.used.all(axis=0))
     pictures, points = sights.used.shape
-    if len(common) < 4 or pictures < 3:
+    common = np.flatnonzero(sights.used.all(axis=0))
+    if not sets or len(common) < 4 or pictures < 3:
         return np.empty((0, pictures, 3, 3)), np.empty((0, points), dtype=bool)
-    turns, _ = _factored(sights, common[None])
+    turns = _turns(sights, common[None])
     chosen = [common]
-    if len(common) > SET:
-        drawn = common[np.argsort(rng.random((DRAWS, len(common))), axis=1)[:, :SET]]
-        others, misfit = _factored(sights, drawn)
-        best = np.argsort(misfit)[: sets - 1]
-        turns = np.concatenate([turns, *others.reshape(DRAWS, 2, pictures, 3, 3)[best]])
-        chosen += list(drawn[best])
+    if len(common) > size:
+        drawn = common[np.argsort(rng.random((DRAWS, len(common))), axis=1)[:, :size]]
+        xy, _ = _in_parallel_rays(sights, drawn)
+        s = np.linalg.svd(xy, compute_uv=False)
+        misfit = s[:, 3:].sum(axis=1) / np.maximum(s[:, 2], 1e-12)
+        chosen += list(drawn[np.argsort(misfit)[: sets - 1]])
+        turns = np.concatenate([turns, _turns(sights, np.array(chosen[1:]))])
     of_set = np.zeros((len(chosen), points), dtype=bool)
     for row, these in zip(of_set, chosen, strict=True):
         row[these] = True
     return turns, np.repeat(of_set, 2, axis=0)
 
 
-def _factored(
+def _in_parallel_rays(
     sights: Sights, sets: np.ndarray
-) -> tuple[Float[np.ndarray, "start picture 3 3"], Float[np.ndarray, " set"]]:
-    """Give both turns of each set of points, ``(set, point)``, one after the other, and how far each is from rank three."""
-    count, pictures = len(sets), len(sights.o_m)
+) -> tuple[Float[np.ndarray, "set coordinate point"], Float[np.ndarray, "set picture 3 3"]]:
+    """Give the marks of each set, ``(set, point)``, across the ray to their middle, two rows a picture; and those frames."""
     d = sights.rays()[:, sets].swapaxes(0, 1)
     frame = _towards(d.mean(axis=2))
     e = d @ frame.swapaxes(-1, -2)
     xy = e[..., :2] / e[..., 2:]
     xy = xy - xy.mean(axis=2, keepdims=True)
-    U, s, _ = np.linalg.svd(xy.swapaxes(-1, -2).reshape(count, 2 * pictures, -1), full_matrices=False)
-    misfit = s[:, 3:].sum(axis=1) / np.maximum(s[:, 2], 1e-12)
+    return xy.swapaxes(-1, -2).reshape(len(sets), 2 * len(sights.o_m), -1), frame
+
+
+def _turns(sights: Sights, sets: np.ndarray) -> Float[np.ndarray, "start picture 3 3"]:
+    """Give both turns of each set of points, ``(set, point)``, one after the other."""
+    count, pictures = len(sets), len(sights.o_m)
+    xy, frame = _in_parallel_rays(sights, sets)
+    U, s, _ = np.linalg.svd(xy, full_matrices=False)
     views = (U[..., :3] * (s[:, None, :3] / s[:, None, :1])).reshape(count, pictures, 2, 3)
     views = views @ _upgrade(views)[:, None]
     ahead = np.cross(views[:, :, 0], views[:, :, 1])
@@ -68,7 +74,7 @@ def _factored(
     mirror = np.diag([1.0, 1.0, -1.0])
     both = np.stack([seen, mirror @ seen @ mirror], axis=1)
     placed = (frame.swapaxes(-1, -2)[:, None] @ both).reshape(2 * count, pictures, 3, 3)
-    return placed @ placed[:, sights.reference, None].swapaxes(-1, -2), misfit
+    return placed @ placed[:, sights.reference, None].swapaxes(-1, -2)
 
 
 def _towards(ahead: Float[np.ndarray, "set picture 3"]) -> Float[np.ndarray, "set picture 3 3"]:

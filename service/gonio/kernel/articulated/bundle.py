@@ -50,6 +50,10 @@ class Sights:
         d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.R_cam
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
 
+    def of_points(self, which: Bool[np.ndarray, " point"]) -> "Sights":
+        """Keep some points."""
+        return replace(self, uv_px=self.uv_px[:, which], used=self.used[:, which], floor=self.floor[:, which])
+
     def with_noise(self, sigma_px: float) -> "Sights":
         """Expect another noise."""
         return replace(self, sigma_px=sigma_px)

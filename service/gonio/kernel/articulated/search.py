@@ -2,8 +2,8 @@
 
 A wrong mark pulls every answer, and an answer with large errors everywhere can cost less than the right one with a few huge
 ones. So each distinct answer throws out its own wrong marks first, and then they are compared by what they explain:
-each freedom that is left (a mark's coordinate, less the unknowns it takes) is explained to the noise ``sigma`` instead of to the
-scatter of the marks themselves, which is worth ``log(scatter / sigma)``. A mark that is thrown out is not explained.
+each freedom that is left (a mark's coordinate, less the unknowns it takes) is explained to the noise ``sigma`` instead of to
+the scatter of the marks themselves, which is worth ``log(scatter / sigma)``. A mark that is thrown out is not explained.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from gonio.kernel.articulated.bundle import Sights, adjust, whitened
 from gonio.kernel.articulated.motion import Motions, unknowns
 from gonio.kernel.articulated.observability import refuse
-from gonio.kernel.articulated.starts import random_starts, places
+from gonio.kernel.articulated.small_sets import answers_of_sets
+from gonio.kernel.articulated.starts import LOOSE, places, random_starts
+from gonio.kernel.articulated.twins import twin_starts
 from gonio.records import JointKind
 
 WAVES = (16, 30, 30)
@@ -27,6 +29,9 @@ SCREENED, KEPT = 12, 5
 PLAUSIBLE = 1.3
 """An answer whose noise is beyond this multiple of the expected one may be a wrong one: 1.3 is 2.7 standard deviations of what
 ten points in four pictures tell of their noise."""
+
+BELIEVED = 0.8
+"""An answer that throws out more than the rest of the marks may be a wrong one, too."""
 
 MIN_POINTS = 6
 """Fewer points can have several exact solutions."""
@@ -77,10 +82,15 @@ def search(kind: JointKind, sights: Sights, seed: int, part: str) -> tuple[Answe
         motions, x_m, cost = adjust(kind, sights, motions.pick(best), x_m[best], iterations=80)
         pool += [(motions.pick(np.array([s])), x_m[s : s + 1], float(cost[s])) for s in range(len(best))]
         answers, agreed = _answers(kind, sights, pool)
-        if agreed and answers[0].sigma_px < PLAUSIBLE * sights.sigma_px:
+        if agreed and _explains(answers[0], sights, 1.0):
+            break
+        answers += [believe(kind, sights, *each) for each in answers_of_sets(kind, sights, at_m, seed + wave)]
+        answers.sort(key=lambda each: -each.evidence)
+        if _explains(answers[0], sights, BELIEVED):
             break
     if not answers:
         raise refuse("not-observable", part)
+    answers = _with_twins(kind, sights, answers)
     best, *others = answers
     near = best.evidence - 0.5 * best.freedom * np.log(TWIN)
     twins = [other for other in others if other.evidence > near and _apart(best.motions, other.motions)]
@@ -101,13 +111,34 @@ def _answers(
             distinct.append([at])
     lowest = pool[distinct[0][0]][2]
     first = believe(kind, sights, *pool[distinct[0][0]][:2])
-    clear = (first.sights.used == sights.used).all() and first.sigma_px < PLAUSIBLE * sights.sigma_px
-    reach = TWIN if clear else RIVAL
+    reach = TWIN if _explains(first, sights, 1.0) else RIVAL
     rivals = [same for same in distinct[1:] if pool[same[0]][2] < reach * lowest]
     found = [(first, len(distinct[0]))]
     found += [(believe(kind, sights, *pool[same[0]][:2]), len(same)) for same in rivals]
     found.sort(key=lambda each: -each[0].evidence)
     return [answer for answer, _ in found], found[0][1] > 1
+
+
+def _with_twins(kind: JointKind, sights: Sights, answers: list[Answer]) -> list[Answer]:
+    """Add what the twins of the best answer lead to, the best first."""
+    best = answers[0]
+    starts = twin_starts(kind, best.sights, best.motions, best.x_m) if kind in LOOSE else None
+    if starts is None:
+        return answers
+    motions, x_m, cost = adjust(kind, best.sights, *starts, iterations=40)
+    twins = [motions.pick(np.array([s])) for s in range(len(cost))]
+    found = [
+        believe(kind, sights, twin, x_m[s : s + 1])
+        for s, twin in enumerate(twins)
+        if np.isfinite(cost[s]) and _apart(best.motions, twin)
+    ]
+    return sorted(answers + found, key=lambda each: -each.evidence)
+
+
+def _explains(answer: Answer, sights: Sights, share: float) -> bool:
+    """Say whether the answer believes this share of all marks, with the noise that is expected of them."""
+    whole = answer.sights.used.sum() >= share * sights.used.sum()
+    return bool(whole and answer.sigma_px < PLAUSIBLE * sights.sigma_px)
 
 
 def _apart(one: Motions, other: Motions) -> bool:

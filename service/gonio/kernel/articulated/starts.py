@@ -6,6 +6,8 @@ anything: none, those that the marks tell if nearness is left out (:mod:`gonio.k
 up to half a turn. So large motions are solved without a guess.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
@@ -17,6 +19,9 @@ from gonio.records import JointKind
 
 AFFINE_SETS = 4
 """So many sets of points tell two turns each to begin with."""
+
+LOOSE: tuple[JointKind, ...] = ("free", "spherical")
+"""The joints that may turn about any axis."""
 
 HELD = 1e-2
 """How firmly a centre is held near its place: as by one ray that passes ten times as far off as the others."""
@@ -88,7 +93,7 @@ def random_starts(
     if kind == "prismatic":
         vector[:] = 0
     R = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(count, pictures, 3, 3)
-    told, of_set = affine_turns(sights, AFFINE_SETS if kind in ("free", "spherical") else 0, rng)
+    told, of_set = affine_turns(sights, AFFINE_SETS if kind in LOOSE else 0, rng)
     R[1 : 1 + len(told)] = told
     t = at_m - (R @ at_m[r])
     if kind == "planar":
@@ -99,11 +104,32 @@ def random_starts(
         t = (t * axis[:, None]).sum(axis=-1, keepdims=True) * axis[:, None]
     motions = Motions(R, t, np.tile(at_m[r], (count, 1)), axis)
     x_m = _on_rays(sights, motions, at_m)
-    if kind == "spherical" and len(told):
-        centre, better_m = _about_centres(sights, told, of_set, at_m[r])
-        motions.centre[1 : 1 + len(told)], x_m[1 : 1 + len(told)] = centre, better_m
-        motions.t[1 : 1 + len(told)] = centre[:, None] - (told @ centre[:, None, :, None])[..., 0]
+    if len(told):
+        so = slice(1, 1 + len(told))
+        better, x_m[so] = started_with(sights, kind, at_m, told, of_set)
+        motions.centre[so], motions.t[so] = better.centre, better.t
     return motions, x_m
+
+
+def started_with(
+    sights: Sights,
+    kind: JointKind,
+    at_m: Float[np.ndarray, "picture 3"],
+    R: Float[np.ndarray, "start picture 3 3"],
+    of_set: Bool[np.ndarray, "start point"] | None = None,
+) -> tuple[Motions, Float[np.ndarray, "start point 3"]]:
+    """Give the starts that have these turns: a joint with a centre turns about the one that its points' rays tell.
+
+    ``of_set`` says which points these are; all without it.
+    """
+    here_m = at_m[sights.reference]
+    motions = Motions(R, at_m - R @ here_m, np.tile(here_m, (len(R), 1)), np.tile([0.0, 1.0, 0.0], (len(R), 1)))
+    if kind != "spherical":
+        return motions, _on_rays(sights, motions, at_m)
+    whole = np.ones((len(R), sights.used.shape[1]), dtype=bool)
+    centre, x_m = _about_centres(sights, R, whole if of_set is None else of_set, here_m)
+    t = centre[:, None] - (R @ centre[:, None, :, None])[..., 0]
+    return replace(motions, t=t, centre=centre), x_m
 
 
 def _about_centres(
@@ -112,8 +138,8 @@ def _about_centres(
 ) -> tuple[Float[np.ndarray, "start 3"], Float[np.ndarray, "start point 3"]]:  # fmt: skip
     """Give the centre about which known turns bring a set of points onto their rays, and all points: linear least squares.
 
-    Minimised is the sum of squares of the distances of ``R_i X_k + (I - R_i) c`` from the rays; the centre is held near ``at_m``
-    where nothing tells it.
+    Minimised is the sum of squares of the distances of ``R_i X_k + (I - R_i) c`` from the rays; the centre is held near
+    ``at_m`` where nothing tells it.
     """
     d = np.nan_to_num(sights.rays())
     P = (np.eye(3) - d[..., :, None] * d[..., None, :]) * sights.used[..., None, None]
