@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
 from gonio.kernel.articulated.normal_equations import Marks, reduce_points, steps_of_points, sum_losses
-from gonio.records import UNKNOWNS, JointKind
+from gonio.records import STATIC_M, UNKNOWNS, JointKind
 
 HUBER = 3.0
 """Residuals beyond this many standard deviations count linearly."""
@@ -49,6 +49,11 @@ class Sights:
         xy = self.uv_px / self.f_px[:, None]
         d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.R_cam
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+    @property
+    def still(self) -> bool:
+        """Whether all pictures are from one place."""
+        return bool(np.ptp(self.o_m, axis=0).max() < STATIC_M)
 
     def of_points(self, which: Bool[np.ndarray, " point"]) -> "Sights":
         """Keep some points."""

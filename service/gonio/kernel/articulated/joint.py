@@ -42,7 +42,8 @@ def solve(kind: JointKind, sights: Sights, part: str, *, scale_known: bool = Fal
         kind: What the joint may do. A spherical joint that turns about one axis only is solved again as a hinge.
         sights: Marks and cameras; its ``sigma_px`` is only a first idea of the noise.
         part: The part's name, for errors.
-        scale_known: Whether a free joint's size is going to be fixed afterwards, by a known length.
+        scale_known: Whether the part's size is going to be fixed afterwards, by a known length; what can be told is then
+            checked afterwards, too.
         seed: Of the random starts.
 
     Raises:
@@ -53,7 +54,7 @@ def solve(kind: JointKind, sights: Sights, part: str, *, scale_known: bool = Fal
         raise refuse("too-few-points", part)
     if kind == "free" and not scale_known and not (sights.floor & sights.used).any():
         raise refuse("scale-unobservable", part)
-    check_moving_camera(kind, sights, part)
+    check_moving_camera(kind, sights, part, scale_known=scale_known)
     # A hinge is sought with three freedoms first: an axis that starts wrong is a trap.
     answer, twin = search("spherical" if kind == "hinge" else kind, sights, seed, part)
     found_hinge = False

@@ -45,11 +45,12 @@ def places(sights: Sights, kind: JointKind, depth_m: float | None) -> Float[np.n
     """Guess where the part is in each picture: all the same for a joint that keeps its place.
 
     For one that does not: the floor under its lowest mark where the picture shows one that touches it (step B), and else a
-    place on the mean ray, as far away as in the reference picture; ``depth_m`` is the distance where nothing tells it.
+    place on the mean ray, as far away as in the reference picture; ``depth_m`` is the distance where nothing tells it. Before a
+    camera that stands still it is the frame's origin (:func:`~gonio.kernel.articulated.chain.sights_of`).
     """
     d = middle_rays(sights)
     d = np.where(np.isfinite(d), d, d[sights.reference])
-    meeting = nearest_to_rays(sights.o_m, d)
+    meeting = np.zeros(3) if sights.still else nearest_to_rays(sights.o_m, d)
     if kind in ("spherical", "hinge"):
         ahead = ((meeting - sights.o_m) * d).sum(axis=1) > 0
         if ahead.all() or depth_m is None:
