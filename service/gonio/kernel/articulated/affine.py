@@ -9,10 +9,15 @@ pictures, and four points that are not in one plane.
 Such turns are off by what nearness does, ten degrees or so, however far the part turned: good to begin a descent with.
 """
 
+from itertools import combinations
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.articulated.bundle import Sights
+
+THREES = 200
+"""At most so many threes of pictures are compared for each step of a chain."""
 
 DRAWS = 200
 """So many sets of points are drawn; those that fit parallel rays best are believed, because they hold no wrong mark."""
@@ -26,12 +31,16 @@ def affine_turns(
 ) -> tuple[Float[np.ndarray, "start picture 3 3"], Bool[np.ndarray, "start point"]]:
     """Give the turns against the reference picture by the best few sets of points, each with its mirror image, and the sets.
 
-    The first set is all points that every picture shows; none is given where these are fewer than four, or pictures than three.
+    The first set is all points that every picture shows. Where these are too few, the turns are those of a chain of threes of
+    pictures, and the set is all points; none is given of two pictures.
     """
     pictures, points = sights.used.shape
     common = np.flatnonzero(sights.used.all(axis=0))
-    if not sets or len(common) < 4 or pictures < 3:
+    if not sets or pictures < 3:
         return np.empty((0, pictures, 3, 3)), np.empty((0, points), dtype=bool)
+    if len(common) < size:
+        chained = _chained(sights, rng)
+        return chained, np.ones((len(chained), points), dtype=bool)
     turns = _turns(sights, common[None])
     chosen = [common]
     if len(common) > size:
@@ -45,6 +54,55 @@ def affine_turns(
     for row, these in zip(of_set, chosen, strict=True):
         row[these] = True
     return turns, np.repeat(of_set, 2, axis=0)
+
+
+def _chained(sights: Sights, rng: np.random.Generator) -> Float[np.ndarray, "start picture 3 3"]:
+    """Give the turns of pictures that show different points, from threes that share some: each new one with two known ones.
+
+    A three is worth its third singular value: many points, seen from directions that differ. Of a three's two turns that is
+    taken which agrees with what is known; the first three's both begin a chain. None if a picture can't be reached.
+    """
+    pictures = len(sights.o_m)
+    threes = np.array(list(combinations(range(pictures), 3)))
+    worth, first = _best_three(sights, threes, rng)
+    if worth == 0:
+        return np.empty((0, pictures, 3, 3))
+    begun = _turns_of_three(sights, first)
+    known = {int(i): begun[:, at] for at, i in enumerate(first)}
+    while len(known) < pictures:
+        pairs = list(combinations(known, 2))
+        threes = np.array([(*pair, new) for new in range(pictures) if new not in known for pair in pairs])
+        worth, three = _best_three(sights, threes, rng)
+        if worth == 0:
+            return np.empty((0, pictures, 3, 3))
+        a, b, new = (int(i) for i in three)
+        turns = _turns_of_three(sights, three)
+        step = turns[:, 1] @ turns[:, 0].swapaxes(-1, -2)
+        had = known[b] @ known[a].swapaxes(-1, -2)
+        agrees = np.einsum("sab,tab->st", had, step).argmax(axis=1)
+        known[new] = (turns[:, 2] @ turns[:, 0].swapaxes(-1, -2))[agrees] @ known[a]
+    R = np.stack([known[i] for i in range(pictures)], axis=1)
+    return R @ R[:, sights.reference, None].swapaxes(-1, -2)
+
+
+def _best_three(sights: Sights, threes: np.ndarray, rng: np.random.Generator) -> tuple[float, Int[np.ndarray, "3"]]:
+    """Give the three of pictures that tells turns best, and its worth: 0 if none shares points enough."""
+    shared = sights.used[threes].all(axis=1).sum(axis=1)
+    able = threes[shared >= SET]
+    best, worth = threes[0], 0.0
+    for three in able[rng.permutation(len(able))[:THREES]]:
+        xy, _ = _in_parallel_rays(sights.of_pictures(three), _shared(sights, three))
+        s = float(np.linalg.svd(xy[0], compute_uv=False)[2])
+        best, worth = (three, s) if s > worth else (best, worth)
+    return worth, best
+
+
+def _turns_of_three(sights: Sights, three: np.ndarray) -> Float[np.ndarray, "2 3 3 3"]:
+    return _turns(sights.of_pictures(three), _shared(sights, three))
+
+
+def _shared(sights: Sights, pictures: np.ndarray) -> np.ndarray:
+    return np.flatnonzero(sights.used[pictures].all(axis=0))[None]
 
 
 def _in_parallel_rays(

@@ -10,7 +10,7 @@ its own damping; what is done for each mark is compiled (:mod:`gonio.kernel.arti
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
 from gonio.kernel.articulated.normal_equations import Marks, reduce_points, steps_of_points, sum_losses
@@ -58,6 +58,13 @@ class Sights:
     def of_points(self, which: Bool[np.ndarray, " point"]) -> "Sights":
         """Keep some points."""
         return replace(self, uv_px=self.uv_px[:, which], used=self.used[:, which], floor=self.floor[:, which])
+
+    def of_pictures(self, which: Int[np.ndarray, " picture"]) -> "Sights":
+        """Keep some pictures, the first of them as the reference."""
+        return replace(
+            self, R_cam=self.R_cam[which], o_m=self.o_m[which], f_px=self.f_px[which], uv_px=self.uv_px[which],
+            used=self.used[which], floor=self.floor[which], reference=0,
+        )  # fmt: skip
 
     def with_noise(self, sigma_px: float) -> "Sights":
         """Expect another noise."""

@@ -14,7 +14,7 @@ from gonio.errors import InputError
 from gonio.kernel.articulated.bundle import Sights, camera_jacobian, dense_jacobian, whitened
 from gonio.kernel.articulated.joint import Solution, solve
 from gonio.kernel.articulated.motion import Motions, across, cross, twists_of
-from gonio.kernel.articulated.observability import check_observed, twist_covariance
+from gonio.kernel.articulated.observability import check_observed, refuse, twist_covariance
 from gonio.kernel.articulated.starts import middle_rays, nearest_to_rays
 from gonio.kernel.geometry.cameras import undistort
 from gonio.kernel.geometry.transforms import inverse, transform
@@ -108,7 +108,15 @@ def solve_body(
         solution = solve(part.kind, sights, part.name, scale_known=part.length is not None, seed=seed)
         if part.length is not None:
             solution = _scaled(solution, part)
-            check_observed(solution.kind, solution.sights, solution.motions, solution.x_m, solution.found, part.name)
+            check_observed(
+                solution.kind,
+                solution.sights,
+                solution.motions,
+                solution.x_m,
+                solution.found,
+                part.name,
+                scale_known=True,
+            )
         errors[part.name] = _errors(solution, pivot, errors[part.parent] if part.parent else None, Gs)
         solved[part.name] = _packed(part, solution, pivot, errors[part.name], of_cameras, Gs)
     return tuple(solved.values())
@@ -158,9 +166,14 @@ def _scaled(solution: Solution, part: Part) -> Solution:
     """Give a part its size by a known length: all projections stay, all distances from the cameras scale.
 
     That is for a part that moves freely, or any that a camera sees from one place: the centre scales with the points.
+
+    Raises:
+        CaptureError: ``length-unseen``.
     """
     length = part.length
     assert length is not None
+    if not solution.sights.used[:, [length.first, length.second]].any(axis=0).all():
+        raise refuse("length-unseen", part.name)
     s, m = solution.sights, solution.motions
     factor = length.length_m / float(np.linalg.norm(solution.x_m[0, length.first] - solution.x_m[0, length.second]))
     o0 = s.o_m[s.reference]

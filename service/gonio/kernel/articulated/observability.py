@@ -52,6 +52,10 @@ REFUSALS = {
         "too few of its points are seen in two pictures or more",
         "Mark six points or more, better ten, each in as many pictures as show it.",
     ),
+    "length-unseen": (
+        "a point of its known length is not seen in two pictures, or its marks were not believed",
+        "Give the distance of two points that many pictures show.",
+    ),
     "not-observable": (
         "its motion can't be told from these pictures",
         "Take pictures from more directions, or mark more points.",
@@ -123,8 +127,10 @@ def check_observed(
     x_m: Float[np.ndarray, "1 point 3"],
     found: Sensitivity,
     part: str,
+    *,
+    scale_known: bool = False,
 ) -> None:
-    """Refuse a solution that has a direction which nothing observes.
+    """Refuse a solution that has a direction which nothing observes; ``scale_known``: it has its size by a known length.
 
     Raises:
         CaptureError: One of :data:`REFUSALS`.
@@ -136,7 +142,7 @@ def check_observed(
     values = np.linalg.eigvalsh(found.covariance)
     if np.isfinite(values).all() and values.max() < UNOBSERVED**2:
         return
-    raise refuse(_situation(kind, sights, motions, seen.mean(axis=0)), part)
+    raise refuse("not-observable" if scale_known else _situation(kind, sights, motions, seen.mean(axis=0)), part)
 
 
 def _situation(kind: JointKind, sights: Sights, motions: Motions, middle_m: Float[np.ndarray, "3"]) -> str:

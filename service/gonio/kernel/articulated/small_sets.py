@@ -31,7 +31,7 @@ def answers_of_sets(
     kind: JointKind, sights: Sights, at_m: Float[np.ndarray, "picture 3"], seed: int
 ) -> list[tuple[Motions, Float[np.ndarray, "1 point 3"]]]:
     """Give the motions of the sets that are solved best, with all points placed where most of their marks say."""
-    if kind not in LOOSE:
+    if kind not in LOOSE or sights.used.all(axis=0).sum() <= SIZE:
         return []
     turns, of_set = affine_turns(sights, SETS + 1, np.random.default_rng(seed), size=SIZE)
     found: list[tuple[float, Motions]] = []

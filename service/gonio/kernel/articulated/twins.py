@@ -41,20 +41,20 @@ def _twin(
 ) -> tuple[Motions, Float[np.ndarray, "point 3"]]:
     seen = x_m[sights.used[i]]
     middle = seen.mean(axis=0)
-    R, t = motions.R[0], motions.t[0]
+    turns, t = motions.R[0], motions.t[0]
     n = np.linalg.svd(seen - middle)[2][2]
-    v = R[i] @ middle + t[i] - sights.o_m[i]
+    v = turns[i] @ middle + t[i] - sights.o_m[i]
     v /= np.linalg.norm(v)
-    other = (np.eye(3) - 2 * np.outer(v, v)) @ R[i] @ (np.eye(3) - 2 * np.outer(n, n))
+    other = (np.eye(3) - 2 * np.outer(v, v)) @ turns[i] @ (np.eye(3) - 2 * np.outer(n, n))
     # A joint that keeps its place turns about it; anything else about the points that are seen.
-    about, to = (motions.centre[0],) * 2 if kind == "spherical" else (middle, R[i] @ middle + t[i])
+    about, to = (motions.centre[0],) * 2 if kind == "spherical" else (middle, turns[i] @ middle + t[i])
     shift = to - other @ about
     if i != sights.reference:
-        R, t = R.copy(), t.copy()
-        R[i], t[i] = other, shift
+        turns, t = turns.copy(), t.copy()
+        turns[i], t[i] = other, shift
     else:  # the part's frame is this picture's: it is the others that turn against it
         x_m = x_m @ other.T + shift
-        R = R @ other.T
-        t = t - R @ shift
-        R[i], t[i] = np.eye(3), 0.0
-    return replace(motions, R=R[None], t=t[None]), x_m
+        turns = turns @ other.T
+        t = t - turns @ shift
+        turns[i], t[i] = np.eye(3), 0.0
+    return replace(motions, R=turns[None], t=t[None]), x_m
