@@ -111,10 +111,12 @@ def adjust(
     *,
     iterations: int,
     huber: float = HUBER,
+    settled: float = 1e-12,
 ) -> tuple[Motions, Float[np.ndarray, "start point 3"], Float[np.ndarray, " start"]]:
     """Improve each start by at most so many steps; gives motions, points and losses (infinite: a start that can't be).
 
-    A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
+    A start stops when its loss twice falls by less than ``settled`` of itself; points that no two pictures show stay where
+    they are.
     """
     marks, x_m = marks_of(sights), np.ascontiguousarray(x_m)
     cost = losses(marks, motions, x_m, huber)
@@ -128,7 +130,7 @@ def adjust(
         tried, moved = step(kind, here, change, sights.reference), at_m + dx
         new = losses(marks, tried, moved, huber)
         better = new < cost[going]
-        calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
+        calm[going] = np.where(np.abs(cost[going] - new) <= settled * cost[going] + 1e-20, calm[going] + 1, 0)
         damping[going] *= np.where(better, 0.2, 6.0)
         took = going[better]
         cost[took], x_m = new[better], _put(x_m, took, moved[better])

@@ -20,11 +20,14 @@ from gonio.kernel.articulated.starts import LOOSE, places, random_starts
 from gonio.kernel.articulated.twins import twin_starts
 from gonio.records import JointKind
 
-WAVES = (16, 30, 30)
+WAVES = (12, 30, 30)
 """So many starts at first; more follow until two agree on an answer whose noise is plausible."""
 
-SCREENED, KEPT = 12, 5
+SCREENED, KEPT = 8, 5
 """All starts get so many steps; so many of them are then followed to the end."""
+
+SETTLED = 1e-4
+"""A descent whose loss falls by less than this share is at its answer, as far as answers are told from each other."""
 
 PLAUSIBLE = 1.3
 """An answer whose noise is beyond this multiple of the expected one may be a wrong one: 1.3 is 2.7 standard deviations of what
@@ -79,7 +82,7 @@ def search(kind: JointKind, sights: Sights, seed: int, part: str) -> tuple[Answe
         best = np.argsort(cost)[: min(KEPT, np.isfinite(cost).sum())]
         if not len(best):
             continue
-        motions, x_m, cost = adjust(kind, sights, motions.pick(best), x_m[best], iterations=80)
+        motions, x_m, cost = adjust(kind, sights, motions.pick(best), x_m[best], iterations=80, settled=SETTLED)
         pool += [(motions.pick(np.array([s])), x_m[s : s + 1], float(cost[s])) for s in range(len(best))]
         answers, agreed = _answers(kind, sights, pool)
         if agreed and _explains(answers[0], sights, 1.0):
