@@ -154,8 +154,8 @@ def marks_of(sights: Sights) -> Marks:
     return Marks(
         R_cam=np.ascontiguousarray(sights.R_cam),
         o_m=np.ascontiguousarray(sights.o_m),
-        f=sights.f_px / sights.sigma_px,
-        uv=np.nan_to_num(sights.uv_px) / sights.sigma_px,
+        f=np.ascontiguousarray(sights.f_px / sights.sigma_px),
+        uv=np.ascontiguousarray(np.nan_to_num(sights.uv_px) / sights.sigma_px),
         used=np.ascontiguousarray(sights.used),
         floor=np.ascontiguousarray(sights.floor),
         plane=np.append(sights.normal, sights.offset_m) / sights.floor_sd_m,

@@ -36,6 +36,9 @@ ten points in four pictures tell of their noise."""
 BELIEVED = 0.8
 """An answer that throws out more than the rest of the marks may be a wrong one, too."""
 
+ENOUGH = 2
+"""So many sets of points whose answers explain the marks do."""
+
 MIN_POINTS = 6
 """Fewer points can have several exact solutions."""
 
@@ -45,7 +48,7 @@ REJECT = 4.5
 FINEST_PX = 1e-3
 """No mark is taken to be better than this: what stands on the floor would count for nothing beside it."""
 
-RIVAL = 4.0
+RIVAL = 2.0
 """An answer whose loss, wrong marks and all, is beyond this multiple of the best is not looked at."""
 
 TWIN = 1.2
@@ -87,7 +90,12 @@ def search(kind: JointKind, sights: Sights, seed: int, part: str) -> tuple[Answe
         answers, agreed = _answers(kind, sights, pool)
         if agreed and _explains(answers[0], sights, 1.0):
             break
-        answers += [believe(kind, sights, *each) for each in answers_of_sets(kind, sights, at_m, seed + wave)]
+        explaining = 0
+        for few in answers_of_sets(kind, sights, at_m, seed + wave):
+            answers.append(believe(kind, sights, *few))
+            explaining += _explains(answers[-1], sights, BELIEVED)
+            if explaining == ENOUGH:
+                break
         answers.sort(key=lambda each: -each.evidence)
         if _explains(answers[0], sights, BELIEVED):
             break

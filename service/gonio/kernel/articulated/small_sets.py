@@ -4,6 +4,7 @@ Sets of points whose marks fit parallel rays best (:mod:`gonio.kernel.articulate
 that come out with small errors have no wrong mark, and their motion tells which marks of the other points are right.
 """
 
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Float
 
 from gonio.kernel.articulated.affine import affine_turns
 from gonio.kernel.articulated.bundle import Sights, adjust, whitened
-from gonio.kernel.articulated.motion import Motions
+from gonio.kernel.articulated.motion import Motions, unknowns
 from gonio.kernel.articulated.starts import LOOSE, started_with
 from gonio.records import JointKind
 
@@ -19,7 +20,12 @@ SETS, SIZE = 12, 5
 """So many sets of so many points: eight wrong marks in a hundred leave one set of twenty marks in five clean."""
 
 STEPS = 15
-TRIED = 4
+TRIED = 6
+"""So many sets that come out well are followed."""
+
+WELL = 4.0
+"""A set whose loss is below this multiple of what its freedoms make of the expected noise has come out well."""
+
 CUT_PX = 5.0
 """A mark that is further off counts no more."""
 
@@ -29,21 +35,21 @@ PAIRS = 30
 
 def answers_of_sets(
     kind: JointKind, sights: Sights, at_m: Float[np.ndarray, "picture 3"], seed: int
-) -> list[tuple[Motions, Float[np.ndarray, "1 point 3"]]]:
-    """Give the motions of the sets that are solved best, with all points placed where most of their marks say."""
+) -> Iterator[tuple[Motions, Float[np.ndarray, "1 point 3"]]]:
+    """Give the motion of each set that comes out well, with all points placed where most of their marks say."""
     if kind not in LOOSE or sights.used.all(axis=0).sum() <= SIZE:
-        return []
+        return
     turns, of_set = affine_turns(sights, SETS + 1, np.random.default_rng(seed), size=SIZE)
-    found: list[tuple[float, Motions]] = []
+    pictures, given = len(sights.o_m), 0
+    expected = 2 * SIZE * pictures - 3 * SIZE - unknowns(kind, pictures)
     for two in range(2, len(turns), 2):
         few = sights.of_points(of_set[two])
         motions, x_m = started_with(few, kind, at_m, turns[two : two + 2])
-        motions, x_m, cost = adjust(kind, few, motions, x_m, iterations=STEPS)
+        motions, x_m, cost = adjust(kind, few, motions, x_m, iterations=STEPS, settled=1e-3)
         best = np.array([int(np.argmin(cost))])
-        if np.isfinite(cost[best[0]]):
-            found.append((float(cost[best[0]]), motions.pick(best)))
-    found.sort(key=lambda each: each[0])
-    return [(motions, _where_most_say(sights, motions)) for _, motions in found[:TRIED]]
+        if cost[best[0]] < WELL * max(expected, 1) and given < TRIED:
+            given += 1
+            yield motions.pick(best), _where_most_say(sights, motions.pick(best))
 
 
 def _where_most_say(sights: Sights, motions: Motions) -> Float[np.ndarray, "1 point 3"]:
