@@ -131,6 +131,15 @@ def read_tracks(path: Path, card: BodyCard, pictures: tuple[str, ...]) -> tuple[
     return tuple(_part(name, card.parts[name], tracks[name], names[name]) for name in card.parts), names
 
 
+def picture_names(path: Path) -> tuple[str, ...]:
+    """Give the pictures in the order in which the marks name them first.
+
+    Raises:
+        InputError: ``tracks-unreadable``.
+    """
+    return tuple(dict.fromkeys(mark.picture for mark in read_marks(path, Mark)))
+
+
 def _part(name: str, card: _PartCard, uv_px: Float[np.ndarray, "picture point 2"], points: list[str]) -> Part:
     if len(points) < 6:
         raise InputError(
@@ -163,7 +172,10 @@ class PictureMotion(Strict):
     shift_m: Three = Field(description="Translation against the parent, of the world's origin as part of the part.")
     turn_deg: float
     turn_sd_deg: float = Field(description="Standard deviation of the turn: of the length of its error.")
-    unsure: bool = Field(description="Whether that is beyond 3°.")
+    unsure: bool = Field(
+        description="Whether that is beyond 3°, or a part that may turn about any axis has fewer than six believed marks "
+        "in this picture or in the reference picture: so few can look the same in another pose."
+    )
     T_world_part: list[list[float]] = Field(description="4 × 4: from the reference picture's world to this one's.")
 
 
@@ -252,18 +264,22 @@ def write_motion(path: Path, document: ArticulatedDocument) -> None:
 
 
 def joint_document(
-    motion: JointMotion, part: Part, pictures: tuple[str, ...], points: list[str], quats: Float[np.ndarray, "picture 4"]
-) -> JointDocument:
+    motion: JointMotion, part: Part, pictures: tuple[str, ...], points: list[str], quats: Float[np.ndarray, "picture 4"],
+    *, reference: int,
+) -> JointDocument:  # fmt: skip
     """Bring one joint's motion into the file's units; ``quats`` are its turns as wxyz with w ≥ 0."""
     sd = np.degrees(motion.rotation_sd_rad)
     turn = np.degrees(2 * np.arctan2(np.linalg.norm(quats[:, 1:], axis=1), quats[:, 0]))
     wrong = np.isfinite(part.uv_px[..., 0]) & ~motion.used
+    # One pose of few points may have a twin in the picture; about a known axis it has none.
+    believed = motion.used.sum(axis=1)
+    few = (np.minimum(believed, believed[reference]) < SURE_MARKS) & (motion.kind in ("free", "spherical"))
     return JointDocument(
         part=part.name, parent=part.parent, joint=motion.kind, found_to_be_a_hinge=motion.found_hinge,
         pictures=[
             PictureMotion(
                 picture=name, quat_wxyz=tuple(quats[i].tolist()), shift_m=_three(motion.Ts_parent_part[i, :3, 3]),
-                turn_deg=float(turn[i]), turn_sd_deg=float(sd[i]), unsure=bool(sd[i] > UNSURE_DEG),
+                turn_deg=float(turn[i]), turn_sd_deg=float(sd[i]), unsure=bool(sd[i] > UNSURE_DEG or few[i]),
                 T_world_part=motion.Ts_world_part[i].tolist(),
             )
             for i, name in enumerate(pictures)
@@ -330,6 +346,9 @@ def read_cameras(document: CamerasDocument) -> tuple[Camera, ...]:
 
 UNSURE_DEG = 3.0
 """A turn whose predicted standard deviation is beyond this is marked: nearly all gross errors are."""
+
+SURE_MARKS = 6
+"""Fewer believed marks of a part that may turn about any axis are no verdict: a second pose may fit them."""
 
 
 def _three(values: Float[np.ndarray, "3"]) -> Three:

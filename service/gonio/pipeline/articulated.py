@@ -17,6 +17,7 @@ from gonio.formats.articulated import (
     cameras_document,
     floor_of,
     joint_document,
+    picture_names,
     read_body_card,
     read_cameras,
     read_tracks,
@@ -74,7 +75,10 @@ def solve_folder(folder: Path, output: Path | None = None) -> ArticulatedDocumen
 
 def cameras_of(folder: Path, motion: ArticulatedDocument) -> tuple[Camera, ...]:
     """Give the cameras that a motion was solved with, one a picture: the folder's, or those that the background told."""
-    return read_cameras(motion.cameras) if motion.cameras else read_calibration(one_of(folder, CAMERAS)).cameras
+    if motion.cameras:
+        return read_cameras(motion.cameras)
+    pictures = tuple(picture.picture for picture in motion.joints[0].pictures)
+    return _for_each(read_calibration(one_of(folder, CAMERAS)).cameras, pictures)
 
 
 def pictures_in(folder: Path) -> dict[str, Path]:
@@ -157,8 +161,12 @@ def solve_photographed(card: BodyCard, photographs: Photographs, tracks: Path) -
     Raises:
         InputError: The marks or the joint tree are wrong, or do not fit the cameras.
     """
-    cameras = photographs.cameras
+    cameras, covariance = _for_each(photographs.cameras, picture_names(tracks)), photographs.covariance
     pictures = tuple(camera.name for camera in cameras)
+    if covariance is not None:  # a camera that stands for several pictures has the same errors in all
+        times = len(cameras) // len(photographs.cameras)
+        photographs = replace(photographs, covariance=np.tile(covariance, (times, times)))
+    photographs = replace(photographs, cameras=cameras)
     parts, points = read_tracks(tracks, card, pictures)
     reference = card.reference or pictures[0]
     if reference not in pictures:
@@ -172,7 +180,12 @@ def solve_photographed(card: BodyCard, photographs: Photographs, tracks: Path) -
     joints = []
     for motion in motions:
         quats = Rotation.from_matrix(motion.Ts_parent_part[:, :3, :3]).as_quat(canonical=True)[:, [3, 0, 1, 2]]
-        joints.append(joint_document(motion, by_name[motion.part], pictures, points[motion.part], np.asarray(quats)))
+        joints.append(
+            joint_document(
+                motion, by_name[motion.part], pictures, points[motion.part], np.asarray(quats),
+                reference=pictures.index(reference),
+            )
+        )  # fmt: skip
     located = photographs.located
     return ArticulatedDocument(
         reference=reference,
@@ -180,6 +193,13 @@ def solve_photographed(card: BodyCard, photographs: Photographs, tracks: Path) -
         refused=refused,
         cameras=cameras_document(located, photographs.background_points) if located else None,
     )
+
+
+def _for_each(cameras: tuple[Camera, ...], pictures: tuple[str, ...]) -> tuple[Camera, ...]:
+    """Let a single camera stand for all pictures, if none has its name: it stood still."""
+    if len(cameras) != 1 or cameras[0].name in pictures:
+        return cameras
+    return tuple(replace(cameras[0], name=picture) for picture in pictures)
 
 
 def _solve(

@@ -14,6 +14,10 @@ JointKind = Literal["free", "spherical", "hinge", "planar", "prismatic"]
 about the floor's normal while shifting along the floor; shifting along a line."""
 
 
+STATIC_M = 1e-3
+"""A camera whose centres spread by less than this certainly stands still."""
+
+
 @record
 class Floor:
     """The plane ``normal · x = offset_m`` of the world, the normal a unit vector that points up."""
@@ -37,7 +41,8 @@ class Part:
     """One part of the body: its joint to the parent (None: the part that moves against the world), and its marked points.
 
     ``uv_px`` are pixels as photographed, NaN where a point is not seen. ``on_floor`` says which points touch the floor in
-    which picture. ``length`` is what gives a freely moving part that touches no floor its size.
+    which picture. ``length`` is what gives a freely moving part that touches no floor its size, or any joint its own before a
+    camera that stands still.
     """
 
     name: str
@@ -111,9 +116,12 @@ def check_pictures(cameras: tuple[Camera, ...], parts: tuple[Part, ...]) -> None
                 hint="Give one camera a picture, and NaN where a point is not seen.",
                 code="tracks-do-not-fit",
             )
-        if part.length is not None and (part.kind != "free" or part.on_floor.any()):
+        centres = np.stack([camera.centre_lab_m for camera in cameras])
+        still = part.parent is None and np.ptp(centres, axis=0).max() < STATIC_M
+        if part.length is not None and ((part.kind != "free" and not still) or part.on_floor.any()):
             raise InputError(
-                f"Part {part.name}: a known length serves a freely moving part that no floor gives its size.",
+                f"Part {part.name}: a known length serves a freely moving part that no floor gives its size, or any part "
+                "that moves against the world before a camera that stands still.",
                 hint="Leave the length out, or the points on the floor.",
                 code="length-without-use",
             )

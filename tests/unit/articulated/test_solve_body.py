@@ -9,7 +9,14 @@ from gonio.kernel.articulated.chain import corrected_cameras, solve_body
 from gonio.kernel.articulated.motion import Motions, step, twists_of
 from gonio.kernel.geometry.cameras import project
 from gonio.kernel.geometry.transforms import inverse, transform
-from gonio.kernel.virtual_lab.articulated import BODIES, Shape, VirtualBody, virtual_body, virtual_cameras
+from gonio.kernel.virtual_lab.articulated import (
+    BODIES,
+    Shape,
+    VirtualBody,
+    virtual_body,
+    virtual_cameras,
+    virtual_turntable,
+)
 from gonio.records import JointKind, JointMotion, KnownLength
 
 KINDS: tuple[JointKind, ...] = ("free", "spherical", "hinge", "planar", "prismatic")
@@ -127,6 +134,48 @@ def test_a_known_length_gives_the_size() -> None:
     (joint,) = solve_body(body.cameras, (part,), None)
     np.testing.assert_allclose(joint.Ts_world_part, body.Ts_world_part["base"], atol=1e-6)
     assert (np.diag(joint.twist_covariance)[6:] > 0).all()
+
+
+def test_a_turntable_before_a_still_camera_gives_its_steps() -> None:
+    squares = []
+    for seed in range(6):
+        body = virtual_turntable(seed)
+        thing = body.parts[0]
+        (joint,) = solve_body(body.cameras, (replace(thing, kind="spherical") if seed % 2 else thing,), None)
+        assert joint.kind == "hinge"
+        turns = Rotation.from_matrix(joint.Ts_parent_part[:, :3, :3]).as_rotvec() @ joint.axis
+        off = np.unwrap(turns) * np.sign(turns[1]) - np.pi / 12 * np.arange(8)
+        axis = joint.axis
+        sd = np.array([np.sqrt(axis @ block[i, :3, i, :3] @ axis) for block in [joint.twist_covariance.reshape(8, 6, 8, 6)]
+                       for i in range(1, 8)])  # fmt: skip
+        squares += list((off[1:] / sd) ** 2)
+        assert np.linalg.norm(joint.xyz_m[0] - joint.xyz_m[1]) == pytest.approx(thing.length.length_m, abs=0.003)
+    # Six tables whose seven steps share their errors: as few as 12 independent squares, whose mean's sd is 0.41.
+    assert 0.2 < np.mean(squares) < 2.2
+
+
+def test_a_length_that_no_two_pictures_show_is_refused() -> None:
+    body = virtual_turntable(0)
+    thing = body.parts[0]
+    uv = thing.uv_px.copy()
+    uv[1:, 0] = np.nan
+    with pytest.raises(CaptureError) as refused:
+        solve_body(body.cameras, (replace(thing, uv_px=uv),), None)
+    assert refused.value.code == "length-unseen"
+
+
+def test_a_picture_of_one_face_is_not_taken_for_its_twin() -> None:
+    body = virtual_body((HEAD,), 1007, noise_px=1.0)
+    X, Ts = body.xyz_m["head"].copy(), body.Ts_world_part["head"]
+    X[:8, 0] = 0.1
+    rng = np.random.default_rng(7)
+    uv = np.stack([project(c, X @ T[:3, :3].T + T[:3, 3]) for c, T in zip(body.cameras, Ts, strict=True)])
+    uv += rng.normal(0, 1.0, uv.shape)
+    uv[2, 8:] = np.nan
+    uv[2, :3] += rng.choice([-8, 8], (3, 2))
+    (joint,) = solve_body(body.cameras, (replace(body.parts[0], uv_px=uv),), None)
+    # The twin is off by 122°.
+    assert worst_turn_deg(joint.Ts_parent_part, Ts) < 3 * np.degrees(joint.rotation_sd_rad.max())
 
 
 def test_error_bars_are_right() -> None:

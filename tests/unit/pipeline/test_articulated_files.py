@@ -13,9 +13,16 @@ import pytest
 
 from gonio.errors import GonioError, InputError
 from gonio.formats.articulated import articulated_schema
-from gonio.kernel.virtual_lab.articulated import BODIES, VirtualBody, virtual_background, virtual_body
+from gonio.formats.toml_calibration import write_toml_calibration
+from gonio.kernel.virtual_lab.articulated import (
+    BODIES,
+    VirtualBody,
+    virtual_background,
+    virtual_body,
+    virtual_turntable,
+)
 from gonio.pipeline.articulated import articulated_lines, cameras_of, solve_folder
-from gonio.records import Camera
+from gonio.records import Camera, Rig
 
 Fill = Callable[[Path, VirtualBody], None]
 Wall = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -148,6 +155,40 @@ def test_what_is_wrong_with_a_background_is_said(
         solve_folder(tmp_path)
     assert error.value.code == code
     assert file in error.value.message
+
+
+TURNTABLE = """
+[parts.thing]
+joint = "hinge"
+length = {{ points = ["p0", "p1"], length_m = {length}, sd_m = 0.001 }}
+"""
+
+
+def test_one_camera_stands_for_all_pictures_of_a_turntable(tmp_path: Path, fill: Fill) -> None:
+    body = virtual_turntable(3)
+    fill(tmp_path, body)
+    one = Rig(cameras=(replace(body.cameras[0], name="camera"),), source="virtual")
+    write_toml_calibration(tmp_path / "cameras.toml", one)
+    length = body.parts[0].length
+    assert length is not None
+    (tmp_path / "body.toml").write_text(TURNTABLE.format(length=length.length_m))
+    document = solve_folder(tmp_path)
+    (joint,) = document.joints
+    for i, picture in enumerate(joint.pictures):
+        assert picture.turn_deg == pytest.approx(15 * i, abs=3 * picture.turn_sd_deg + 1e-9)
+    assert [camera.name for camera in cameras_of(tmp_path, document)] == [picture.picture for picture in joint.pictures]
+
+
+def test_a_picture_with_few_believed_marks_is_unsure(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:
+    uv = body.parts[1].uv_px.copy()
+    uv[2, 5:] = np.nan
+    fill(tmp_path, replace(body, parts=(body.parts[0], replace(body.parts[1], uv_px=uv))))
+    rows = (tmp_path / "tracks.csv").read_text().splitlines()
+    (tmp_path / "tracks.csv").write_text("\n".join(row for row in rows if "nan" not in row) + "\n")
+    (shoulder,) = (joint for joint in solve_folder(tmp_path).joints if joint.part == "shoulder")
+    sure = [picture for picture in shoulder.pictures if not picture.unsure]
+    assert [picture.picture for picture in sure] == ["picture 1", "picture 2", "picture 4"]
+    assert shoulder.pictures[2].turn_sd_deg < 3
 
 
 def test_a_part_that_is_not_told_leaves_the_others(tmp_path: Path, body: VirtualBody, fill: Fill) -> None:

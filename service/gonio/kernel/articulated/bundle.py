@@ -10,11 +10,11 @@ its own damping; what is done for each mark is compiled (:mod:`gonio.kernel.arti
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
 from gonio.kernel.articulated.normal_equations import Marks, reduce_points, steps_of_points, sum_losses
-from gonio.records import UNKNOWNS, JointKind
+from gonio.records import STATIC_M, UNKNOWNS, JointKind
 
 HUBER = 3.0
 """Residuals beyond this many standard deviations count linearly."""
@@ -49,6 +49,22 @@ class Sights:
         xy = self.uv_px / self.f_px[:, None]
         d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.R_cam
         return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+    @property
+    def still(self) -> bool:
+        """Whether all pictures are from one place."""
+        return bool(np.ptp(self.o_m, axis=0).max() < STATIC_M)
+
+    def of_points(self, which: Bool[np.ndarray, " point"]) -> "Sights":
+        """Keep some points."""
+        return replace(self, uv_px=self.uv_px[:, which], used=self.used[:, which], floor=self.floor[:, which])
+
+    def of_pictures(self, which: Int[np.ndarray, " picture"]) -> "Sights":
+        """Keep some pictures, the first of them as the reference."""
+        return replace(
+            self, R_cam=self.R_cam[which], o_m=self.o_m[which], f_px=self.f_px[which], uv_px=self.uv_px[which],
+            used=self.used[which], floor=self.floor[which], reference=0,
+        )  # fmt: skip
 
     def with_noise(self, sigma_px: float) -> "Sights":
         """Expect another noise."""
@@ -95,10 +111,12 @@ def adjust(
     *,
     iterations: int,
     huber: float = HUBER,
+    settled: float = 1e-12,
 ) -> tuple[Motions, Float[np.ndarray, "start point 3"], Float[np.ndarray, " start"]]:
     """Improve each start by at most so many steps; gives motions, points and losses (infinite: a start that can't be).
 
-    A start stops when its loss falls by less than 1e-12 of itself; points that no two pictures show stay where they are.
+    A start stops when its loss twice falls by less than ``settled`` of itself; points that no two pictures show stay where
+    they are.
     """
     marks, x_m = marks_of(sights), np.ascontiguousarray(x_m)
     cost = losses(marks, motions, x_m, huber)
@@ -112,7 +130,7 @@ def adjust(
         tried, moved = step(kind, here, change, sights.reference), at_m + dx
         new = losses(marks, tried, moved, huber)
         better = new < cost[going]
-        calm[going] = np.where(np.abs(cost[going] - new) <= 1e-12 * cost[going] + 1e-20, calm[going] + 1, 0)
+        calm[going] = np.where(np.abs(cost[going] - new) <= settled * cost[going] + 1e-20, calm[going] + 1, 0)
         damping[going] *= np.where(better, 0.2, 6.0)
         took = going[better]
         cost[took], x_m = new[better], _put(x_m, took, moved[better])
@@ -136,8 +154,8 @@ def marks_of(sights: Sights) -> Marks:
     return Marks(
         R_cam=np.ascontiguousarray(sights.R_cam),
         o_m=np.ascontiguousarray(sights.o_m),
-        f=sights.f_px / sights.sigma_px,
-        uv=np.nan_to_num(sights.uv_px) / sights.sigma_px,
+        f=np.ascontiguousarray(sights.f_px / sights.sigma_px),
+        uv=np.ascontiguousarray(np.nan_to_num(sights.uv_px) / sights.sigma_px),
         used=np.ascontiguousarray(sights.used),
         floor=np.ascontiguousarray(sights.floor),
         plane=np.append(sights.normal, sights.offset_m) / sights.floor_sd_m,

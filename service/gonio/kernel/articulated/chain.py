@@ -14,11 +14,11 @@ from gonio.errors import InputError
 from gonio.kernel.articulated.bundle import Sights, camera_jacobian, dense_jacobian, whitened
 from gonio.kernel.articulated.joint import Solution, solve
 from gonio.kernel.articulated.motion import Motions, across, cross, twists_of
-from gonio.kernel.articulated.observability import twist_covariance
+from gonio.kernel.articulated.observability import check_observed, refuse, twist_covariance
 from gonio.kernel.articulated.starts import middle_rays, nearest_to_rays
 from gonio.kernel.geometry.cameras import undistort
 from gonio.kernel.geometry.transforms import inverse, transform
-from gonio.records import UNKNOWNS, Camera, Floor, JointKind, JointMotion, Part, check_pictures
+from gonio.records import UNKNOWNS, Camera, Floor, JointKind, JointMotion, KnownLength, Part, check_pictures
 
 FLOOR_SD_M = 1e-3
 """How well a point that stands on the floor lies in its plane."""
@@ -108,6 +108,15 @@ def solve_body(
         solution = solve(part.kind, sights, part.name, scale_known=part.length is not None, seed=seed)
         if part.length is not None:
             solution = _scaled(solution, part)
+            check_observed(
+                solution.kind,
+                solution.sights,
+                solution.motions,
+                solution.x_m,
+                solution.found,
+                part.name,
+                scale_known=True,
+            )
         errors[part.name] = _errors(solution, pivot, errors[part.parent] if part.parent else None, Gs)
         solved[part.name] = _packed(part, solution, pivot, errors[part.name], of_cameras, Gs)
     return tuple(solved.values())
@@ -121,7 +130,11 @@ def sights_of(
     reference: int,
     noise_px: float,
 ) -> tuple[Sights, Float[np.ndarray, "3"]]:
-    """Take lens distortion and the parent's motion away, and shift the origin into the part; gives that pivot too."""
+    """Take lens distortion and the parent's motion away, and shift the origin into the part; gives that pivot too.
+
+    Before a camera that stands still the origin is as far away on the reference picture's mean ray as a known length looks, or
+    1 m: no distance is nearer to the truth than another.
+    """
     Ts = inverse(Gs) @ np.stack([camera.T_lab_cam for camera in cameras])
     uv = np.stack([undistort(camera, marks) for camera, marks in zip(cameras, part.uv_px, strict=True)])
     K = np.stack([camera.intrinsic_px for camera in cameras])
@@ -132,21 +145,43 @@ def sights_of(
         uv_px=uv - K[:, None, :2, 2], used=used, floor=part.on_floor & used, normal=normal,
         offset_m=floor.offset_m if floor else 0.0, floor_sd_m=FLOOR_SD_M, sigma_px=noise_px, reference=reference,
     )  # fmt: skip
-    pivot = nearest_to_rays(sights.o_m, middle_rays(sights))
+    rays = middle_rays(sights)
+    pivot = nearest_to_rays(sights.o_m, rays)
+    if sights.still:
+        here = reference if np.isfinite(rays[reference, 0]) else int(np.flatnonzero(np.isfinite(rays[:, 0]))[0])
+        pivot = sights.o_m[here] + _distance(sights, part.length) * rays[here]
     return replace(sights, o_m=sights.o_m - pivot, offset_m=sights.offset_m - float(normal @ pivot)), pivot
 
 
+def _distance(sights: Sights, length: KnownLength | None) -> float:
+    """Give how far away a length is that looks as long as in the picture where it looks longest."""
+    if length is None:
+        return 1.0
+    first, second = np.moveaxis(sights.rays()[:, [length.first, length.second]], 1, 0)
+    apart = np.linalg.norm(first - second, axis=-1)
+    return length.length_m / max(float(np.nanmax(apart)), 1e-3) if np.isfinite(apart).any() else 1.0
+
+
 def _scaled(solution: Solution, part: Part) -> Solution:
-    """Give a freely moving part its size by a known length: all projections stay, all distances from the cameras scale."""
+    """Give a part its size by a known length: all projections stay, all distances from the cameras scale.
+
+    That is for a part that moves freely, or any that a camera sees from one place: the centre scales with the points.
+
+    Raises:
+        CaptureError: ``length-unseen``.
+    """
     length = part.length
     assert length is not None
+    if not solution.sights.used[:, [length.first, length.second]].any(axis=0).all():
+        raise refuse("length-unseen", part.name)
     s, m = solution.sights, solution.motions
     factor = length.length_m / float(np.linalg.norm(solution.x_m[0, length.first] - solution.x_m[0, length.second]))
     o0 = s.o_m[s.reference]
     turned = m.R @ o0
     x_m = o0 + factor * (solution.x_m - o0)
-    motions = replace(m, t=s.o_m - turned + factor * (m.t - s.o_m + turned))
-    J, Jx, Jt = dense_jacobian("free", s, motions, x_m)
+    t = s.o_m - turned + factor * (m.t - s.o_m + turned)
+    motions = replace(m, t=t, centre=o0 + factor * (m.centre - o0))
+    J, Jx, Jt = dense_jacobian(solution.kind, s, motions, x_m)
     along = x_m[0, length.first] - x_m[0, length.second]
     row = np.zeros((1, J.shape[1] + Jx.shape[1]))
     sd = max(length.sd_m, 1e-4 * length.length_m)

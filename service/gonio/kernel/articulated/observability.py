@@ -24,9 +24,6 @@ STILL_RAD = 0.02
 LINE = 0.06
 """Points lie on a line if their second principal extent is less than this share of the first."""
 
-STATIC_M = 1e-3
-"""A camera whose centres spread by less than this certainly stands still."""
-
 STATIC = 0.02
 """Where a joint can't be told, a camera whose centres spread by less than this share of the distance is to blame."""
 
@@ -37,7 +34,7 @@ REFUSALS = {
     ),
     "camera-static": (
         "the camera stood still, so that the joint's distance can't be told",
-        "Take the pictures from different places; zooming is not enough.",
+        "Take the pictures from different places, zooming is not enough; or give the distance of two of its points.",
     ),
     "no-motion": (
         "it does not turn, so that its joint's place can't be told",
@@ -54,6 +51,10 @@ REFUSALS = {
     "too-few-points": (
         "too few of its points are seen in two pictures or more",
         "Mark six points or more, better ten, each in as many pictures as show it.",
+    ),
+    "length-unseen": (
+        "a point of its known length is not seen in two pictures, or its marks were not believed",
+        "Give the distance of two points that many pictures show.",
     ),
     "not-observable": (
         "its motion can't be told from these pictures",
@@ -97,8 +98,8 @@ def sensitivity(kind: JointKind, sights: Sights, motions: Motions, x_m: Float[np
     return Sensitivity(inverse[:m, :m], points, gain @ Jt, gain @ camera_jacobian(sights, motions, x_m))
 
 
-def check_moving_camera(kind: JointKind, sights: Sights, part: str) -> None:
-    """Refuse a joint that keeps its place before a camera that does too: its distance is anybody's guess.
+def check_moving_camera(kind: JointKind, sights: Sights, part: str, *, scale_known: bool) -> None:
+    """Refuse a joint that keeps its place before a camera that does too, unless a known length tells its distance.
 
     If each picture's rays are those of the reference turned as a whole, the part turned about the line of sight, and not
     even its shape can be told.
@@ -106,13 +107,15 @@ def check_moving_camera(kind: JointKind, sights: Sights, part: str) -> None:
     Raises:
         CaptureError: ``camera-static`` or ``no-parallax``.
     """
-    if kind not in ("spherical", "hinge") or np.ptp(sights.o_m, axis=0).max() > STATIC_M:
+    if kind not in ("spherical", "hinge") or not sights.still:
         return
     rays, r = sights.rays(), sights.reference
     for i in range(len(rays)):
         both = sights.used[i] & sights.used[r]
         turn, miss = Rotation.align_vectors(rays[i, both], rays[r, both]) if both.sum() > 2 else (None, 0.0)
         if turn is not None and miss * sights.f_px.mean() / np.sqrt(2 * both.sum()) > 3 * sights.sigma_px:
+            if scale_known:
+                return
             raise refuse("camera-static", part)
     raise refuse("no-parallax", part)
 
@@ -124,8 +127,10 @@ def check_observed(
     x_m: Float[np.ndarray, "1 point 3"],
     found: Sensitivity,
     part: str,
+    *,
+    scale_known: bool = False,
 ) -> None:
-    """Refuse a solution that has a direction which nothing observes.
+    """Refuse a solution that has a direction which nothing observes; ``scale_known``: it has its size by a known length.
 
     Raises:
         CaptureError: One of :data:`REFUSALS`.
@@ -137,7 +142,7 @@ def check_observed(
     values = np.linalg.eigvalsh(found.covariance)
     if np.isfinite(values).all() and values.max() < UNOBSERVED**2:
         return
-    raise refuse(_situation(kind, sights, motions, seen.mean(axis=0)), part)
+    raise refuse("not-observable" if scale_known else _situation(kind, sights, motions, seen.mean(axis=0)), part)
 
 
 def _situation(kind: JointKind, sights: Sights, motions: Motions, middle_m: Float[np.ndarray, "3"]) -> str:

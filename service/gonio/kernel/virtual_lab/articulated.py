@@ -4,7 +4,7 @@ The five bodies are those of the paper: a mannequin that walks and turns on the 
 neck, a lid on its hinge, an arm of shoulder and elbow, and an excavator's cab and boom. Shapes are boxes of random points.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gonio.kernel.geometry.cameras import project
 from gonio.kernel.geometry.transforms import inverse, transform
-from gonio.records import Background, Camera, CameraHeight, Floor, JointKind, Lens, Part
+from gonio.records import Background, Camera, CameraHeight, Floor, JointKind, KnownLength, Lens, Part
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,12 @@ def virtual_body(
     turn_rad: tuple[float, float] = (0.17, 1.05),
     wrong: float = 0.0,
     cameras: tuple[Camera, ...] | None = None,
+    turns_rad: tuple[float, ...] | None = None,
 ) -> VirtualBody:
-    """Make a body of the shapes, move it, photograph it with normal noise; a share ``wrong`` of the marks is 30 px off."""
+    """Make a body of the shapes, move it, photograph it with normal noise; a share ``wrong`` of the marks is 30 px off.
+
+    Turns are of any size in ``turn_rad``, to either side, or ``turns_rad``, one a picture.
+    """
     rng = np.random.default_rng(seed)
     cameras = cameras or virtual_cameras(rng, pictures)
     world: dict[str, np.ndarray] = {}
@@ -106,7 +110,14 @@ def virtual_body(
         on_floor = np.zeros((len(cameras), shape.points), dtype=bool)
         if shape.kind == "free":
             X[:4, 1], on_floor[:, :4] = 0.0, True
-        L = np.stack([_motion(rng, shape, turn_rad) if i else np.eye(4) for i in range(len(cameras))])
+        L = np.stack(
+            [
+                _motion(rng, shape, turns_rad[i] if turns_rad else rng.uniform(*turn_rad) * rng.choice([-1.0, 1.0]))
+                if i
+                else np.eye(4)
+                for i in range(len(cameras))
+            ]
+        )
         G = (world[shape.parent] if shape.parent else np.eye(4)) @ L
         world[shape.name], local[shape.name], points[shape.name] = G, L, X
         uv = np.stack([project(c, X @ T[:3, :3].T + T[:3, 3]) for c, T in zip(cameras, G, strict=True)])
@@ -119,8 +130,25 @@ def virtual_body(
     return VirtualBody(cameras, floor, tuple(parts), world, local, points)
 
 
-def _motion(rng: np.random.Generator, shape: Shape, turn_rad: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
-    angle = rng.uniform(*turn_rad) * rng.choice([-1.0, 1.0])
+def virtual_turntable(
+    seed: int, *, pictures: int = 8, step_rad: float = np.pi / 12, noise_px: float = 0.5
+) -> VirtualBody:
+    """Photograph a thing on a turntable from one place, turned on by the same step each time.
+
+    The distance of its first two points is known to a millimetre.
+    """
+    camera = virtual_cameras(np.random.default_rng(seed), 1)[0]
+    shape = Shape("thing", None, "hinge", 20, (0, 0.3, 0), (0.3, 0.3, 0.3), (0.03, 0.2, 0.02))
+    body = virtual_body(
+        (shape,), seed, noise_px=noise_px, turns_rad=tuple(step_rad * np.arange(pictures)),
+        cameras=tuple(replace(camera, name=f"picture {i + 1}") for i in range(pictures)),
+    )  # fmt: skip
+    apart = float(np.linalg.norm(body.xyz_m["thing"][0] - body.xyz_m["thing"][1]))
+    length = KnownLength(first=0, second=1, length_m=apart, sd_m=0.001)
+    return replace(body, parts=(replace(body.parts[0], length=length),))
+
+
+def _motion(rng: np.random.Generator, shape: Shape, angle: float) -> Float[np.ndarray, "4 4"]:
     axis, joint = np.array(shape.axis, dtype=float), np.array(shape.joint_m, dtype=float)
     if shape.kind == "spherical":
         axis = rng.normal(size=3)
