@@ -73,15 +73,27 @@ def _paint(axes: Axes, rectangles_mm: np.ndarray, dark: np.ndarray, ground_mm: t
 def _write_margin(axes: Axes, title: str, origin: np.ndarray, size_mm: tuple[float, float], *, light: bool) -> None:
     """Draw a ruler of whole centimetres below the board, at most 200 mm, and say above it what to do with it."""
     colour = "white" if light else "black"
-    length = min(200.0, 10 * np.floor(size_mm[0] / 10))
-    left, below = origin[0], origin[1] + size_mm[1] + min(origin[1] / 3, 8.0)
-    ticks = [(left, below, length, 0.2)]
-    ticks += [(left + at - 0.1, below, 0.2, 2.0 if at % 50 == 0 else 1.2) for at in np.arange(0, length + 1, 10)]
-    axes.add_collection(
-        PatchCollection([Rectangle((x, y), w, h) for x, y, w, h in ticks], facecolors=colour, linewidths=0)
-    )
+    length = _ruler_mm(size_mm[0])
+    below = origin[1] + size_mm[1] + min(origin[1] / 3, 8.0)
+    _add_ruler(axes, (origin[0], below), length, colour)
     words = f"{title}.  Print at 100 %, not fitted to the page: the ruler below is {length:g} mm long.  Mount it flat."
-    axes.text(left, origin[1] - min(origin[1] / 4, 6.0), words, fontsize=5.5, color=colour, family="DejaVu Sans")
+    axes.text(origin[0], origin[1] - min(origin[1] / 4, 6.0), words, fontsize=5.5, color=colour, family="DejaVu Sans")
+
+
+def _ruler_mm(room_mm: float) -> float:
+    return float(min(200.0, 10 * np.floor(room_mm / 10)))
+
+
+def _add_ruler(
+    axes: Axes, start: Sequence[float], length: float, colour: str, *, upright: bool = False, zorder: int = 1
+) -> None:
+    """Draw a ruler from ``start`` to the right with its ticks below, or downwards with its ticks to the left."""
+    ticks = [(0.0, 0.0, length, 0.2)]
+    ticks += [(at - 0.1, 0.0, 0.2, 2.0 if at % 50 == 0 else 1.2) for at in np.arange(0, length + 1, 10)]
+    if upright:
+        ticks = [(-across - high, along, high, wide) for along, across, wide, high in ticks]
+    marks = [Rectangle((start[0] + x, start[1] + y), w, h) for x, y, w, h in ticks]
+    axes.add_collection(PatchCollection(marks, facecolors=colour, linewidths=0, zorder=zorder))
 
 
 def _tiles(page_mm: Sequence[float], tile_mm: Sequence[float]) -> list[tuple[float, float, float, float]]:
@@ -101,7 +113,10 @@ def _windows(page_mm: Sequence[float], tile_mm: Sequence[float]) -> list[tuple[f
 
 
 def _mark_tile(axes: Axes, window: tuple[float, float, float, float], words: str) -> None:
-    """Blank the border that no printer prints, and draw the lines to cut along."""
+    """Blank the border that no printer prints, draw the lines to cut along, and a ruler for each direction beside them.
+
+    Each tile is a print of its own, and a printer may stretch the length of the page alone.
+    """
     left, top, width, height = window
     border = TILE_BORDER_MM
     for x, y, w, h in (
@@ -109,10 +124,12 @@ def _mark_tile(axes: Axes, window: tuple[float, float, float, float], words: str
         (left, top, border, height), (left + width - border, top, border, height),
     ):  # fmt: skip
         axes.add_patch(Rectangle((x, y), w, h, facecolor="white", linewidth=0, zorder=3))
+    wide, high = width - 2 * border, height - 2 * border
     axes.add_patch(
-        Rectangle(
-            (left + border, top + border), width - 2 * border, height - 2 * border,
-            fill=False, edgecolor="#999999", linewidth=0.3, zorder=4,
-        )
-    )  # fmt: skip
+        Rectangle((left + border, top + border), wide, high, fill=False, edgecolor="#999999", linewidth=0.3, zorder=4)
+    )
+    across, down = _ruler_mm(wide), _ruler_mm(high)
+    _add_ruler(axes, (left + border, top + height - border), across, "black", zorder=5)
+    _add_ruler(axes, (left + border, top + border), down, "black", upright=True, zorder=5)
+    words += f"; its rulers are {across:g} mm (below) and {down:g} mm (left) long"
     axes.text(left + border, top + border - 1.5, words, fontsize=5.5, zorder=5, family="DejaVu Sans")
