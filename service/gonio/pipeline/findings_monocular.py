@@ -4,7 +4,7 @@ from gonio.pipeline.finding_kind import Kind
 
 MONOCULAR_KINDS: dict[str, Kind] = {
     "one-camera": Kind(
-        "info",
+        "warning",  # what nothing checks is never "good"
         "kinematics",
         "One camera saw this trial, {value:.0f}° away from the side: depth comes from the floor and the subject's stature, "
         "and nothing checks it. The error bands count with that.",

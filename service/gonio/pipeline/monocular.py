@@ -19,6 +19,7 @@ from gonio.kernel.geometry.transforms import rotation_about_y, transform
 from gonio.kernel.kinematics.clinical import clinical_sd_deg, find_clinical_angles
 from gonio.kernel.kinematics.monocular import (
     Placement,
+    believe_less,
     fit_one_camera,
     place_covariance_m2,
     start_one_camera,
@@ -299,7 +300,7 @@ def fit_view(
     start, placement = start_one_camera(telling, tasks, camera, uv_px, confidence, times_s)
     distance_m = np.array([np.linalg.norm(np.median(placement.hips_lab_m, axis=0) - camera.centre_lab_m)])
     turned = replace(rig, cameras=(camera,))
-    priors = make_priors(telling, body.markerset, turned, looks.timebase.rate_hz, distance_m)
+    priors = believe_less(telling, make_priors(telling, body.markerset, turned, looks.timebase.rate_hz, distance_m))
     fit = fit_one_camera(telling, camera, uv_px, confidence, start, priors, progress)
     view_rad = view_angle_rad(camera, placement)
     seen = describe_fit(body, fit, points, rig, turned, view_rad)

@@ -79,15 +79,14 @@ def fit_one_camera(
         uv_px: Undistorted keypoints in the order of the markers; NaN is missing.
         confidence: Theirs.
         start: Where to begin (:func:`start_one_camera`).
-        priors: As :func:`gonio.kernel.kinematics.pixel_priors.make_priors` gives them for a rig of this camera.
+        priors: As :func:`believe_less` gives them.
         on_progress: Is told the done share, 0 to 1.
 
     Returns:
         The fit; everything in it that goes by cameras has this one camera.
     """
     rig = Rig(cameras=(camera,), source="one camera")
-    believed = _believe_less(model, priors)
-    fit = fit_pixels(model, rig, uv_px[None], confidence[None], start, believed, on_progress)
+    fit = fit_pixels(model, rig, uv_px[None], confidence[None], start, priors, on_progress)
     # Depth and size together are a long shallow valley, in which the descent creeps: it has come to rest where another one,
     # from where the last stopped, hardly moves the body any more.
     for _ in range(MOST_DESCENTS - 1):
@@ -95,7 +94,7 @@ def fit_one_camera(
             break
         last, known = fit.motion, np.isfinite(fit.motion.values)
         again = replace(start, values=np.where(known, last.values, start.values))
-        fit = fit_pixels(model, rig, uv_px[None], confidence[None], again, believed, on_progress)
+        fit = fit_pixels(model, rig, uv_px[None], confidence[None], again, priors, on_progress)
         if not fit.converged and _moved_sd(last, fit.motion) < SETTLED_SD:
             status = np.where(fit.motion.status == NOT_CONVERGED, SOLVED, fit.motion.status).astype(np.uint8)
             fit = replace(fit, converged=True, motion=replace(fit.motion, status=status))
@@ -294,8 +293,12 @@ def _hips(model: BodyModel) -> list[int]:
     return [model.markers.index("right_hip"), model.markers.index("left_hip")]
 
 
-def _believe_less(model: BodyModel, priors: TrialPriors) -> TrialPriors:
-    """Widen what is believed of lengths, and hold what one camera hardly tells near upright (:data:`POSTURE_DEG`)."""
+def believe_less(model: BodyModel, priors: TrialPriors) -> TrialPriors:
+    """Widen what is believed of lengths, and hold what one camera hardly tells near upright (:data:`POSTURE_DEG`).
+
+    ``priors`` are those of :func:`gonio.kernel.kinematics.pixel_priors.make_priors` for a rig of this camera. Whoever judges
+    the fit must judge it by what was believed.
+    """
     posture_sd = priors.posture_sd.copy()
     for name, sd_deg in POSTURE_DEG.items():
         if name in model.coordinates.names:
