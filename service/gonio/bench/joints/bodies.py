@@ -73,6 +73,14 @@ def _measure(
     ratio = np.sqrt(2.366 / np.median(squares))
     suffix = "" if paper else f"_{name}"
     bench.add(f"normalised_sd_ratio{suffix}", ratio, "1", at_least=0.8, at_most=1.25)
+    _add_table(bench, name, table)
+    bench.add(f"median_joint_ms{suffix}", 1e3 * np.median(seconds), "ms")
+    if paper:
+        bench.add("success_pct_paper", 100 * float(np.mean(paper_successes)), "%")
+        bench.add("time_ratio_paper", np.median(paper_seconds) / np.median(seconds), "1")
+
+
+def _add_table(bench: Bench, name: str, table: dict[str, list[list[float]]]) -> None:
     for part, rows in table.items():
         _, turn, dot, length_1, length_2 = np.median(np.array(rows), axis=0)
         at = f"{part.replace(' ', '_')}_{name}"
@@ -80,10 +88,6 @@ def _measure(
         bench.add(f"dot_below_1_{at}", 1e6 * (1 - dot), "1e-6")
         bench.add(f"length_1_{at}", 1e3 * length_1, "mm")
         bench.add(f"length_2_{at}", 1e3 * length_2, "mm")
-    bench.add(f"median_joint_ms{suffix}", 1e3 * np.median(seconds), "ms")
-    if paper:
-        bench.add("success_pct_paper", 100 * float(np.mean(paper_successes)), "%")
-        bench.add("time_ratio_paper", np.median(paper_seconds) / np.median(seconds), "1")
 
 
 def errors_of(body: VirtualBody, motion: JointMotion) -> list[float]:

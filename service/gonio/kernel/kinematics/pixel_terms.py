@@ -211,7 +211,9 @@ def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, err
     """
     x, y, z = seen.place[0], seen.place[1], seen.place[2]
     sharpness, cost = 1.0 / sight.loss_scale**2, 0.0
-    pull_x = pull_y = pull_z = xx = yx = yy = zx = zy = zz = 0.0
+    if order == NORMAL_EQUATIONS:
+        seen.information[:] = 0.0
+    pull_x = pull_y = pull_z = 0.0
     for c in range(len(sight.projections)):
         seen.weight[c] = 0.0
         p, precision = sight.projections[c], sight.precision[c, frame, marker]
@@ -237,26 +239,27 @@ def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, err
         pull_y += w * (u1 * off_u + v1 * off_v)
         pull_z += w * (u2 * off_u + v2 * off_v)
         if order == NORMAL_EQUATIONS:
-            row = seen.to_pixel[c]
-            row[0, 0], row[0, 1], row[0, 2], row[1, 0], row[1, 1], row[1, 2] = u0, u1, u2, v0, v1, v2
-            xx += w * (u0 * u0 + v0 * v0)
-            yx += w * (u1 * u0 + v1 * v0)
-            yy += w * (u1 * u1 + v1 * v1)
-            zx += w * (u2 * u0 + v2 * v0)
-            zy += w * (u2 * u1 + v2 * v1)
-            zz += w * (u2 * u2 + v2 * v2)
+            _inform(seen, c, w, (u0, u1, u2), (v0, v1, v2))
     seen.pull[0], seen.pull[1], seen.pull[2] = pull_x, pull_y, pull_z
     if order == NORMAL_EQUATIONS:
-        _fill_symmetric(seen.information, xx, yx, yy, zx, zy, zz)
+        _mirror(seen.information)
     return 0.5 * sight.loss_scale**2 * cost
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_symmetric(matrix: Array, xx: float, yx: float, yy: float, zx: float, zy: float, zz: float) -> None:
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = xx, yy, zz
-    matrix[0, 1] = matrix[1, 0] = yx
-    matrix[0, 2] = matrix[2, 0] = zx
-    matrix[1, 2] = matrix[2, 1] = zy
+def _inform(
+    seen: Keypoint, camera: int, weight: float, u: tuple[float, float, float], v: tuple[float, float, float]
+) -> None:
+    """Keep a camera's derivatives, and add what it says to the lower half of Λ."""
+    for i in range(3):
+        seen.to_pixel[camera, 0, i], seen.to_pixel[camera, 1, i] = u[i], v[i]
+        for j in range(i + 1):
+            seen.information[i, j] += weight * (u[i] * u[j] + v[i] * v[j])
+
+
+@njit(cache=True, error_model="numpy")
+def _mirror(matrix: Array) -> None:
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = matrix[1, 0], matrix[2, 0], matrix[2, 1]
 
 
 @njit(cache=True, error_model="numpy")

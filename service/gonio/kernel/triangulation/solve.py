@@ -101,6 +101,17 @@ def invert_3x3(matrix: Array, inverse: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def add_outer(normal: Array, first: int, weight: float, x: float, y: float, z: float) -> None:
+    """Add the weighted outer product of a vector with itself to a symmetric matrix that begins at ``first``."""
+    normal[first] += weight * x * x
+    normal[first + 1] += weight * y * x
+    normal[first + 2] += weight * y * y
+    normal[first + 3] += weight * z * x
+    normal[first + 4] += weight * z * y
+    normal[first + 5] += weight * z * z
+
+
+@njit(cache=True, error_model="numpy")
 def ray_equations(projections: Array, uv_px: Array, weight: Array, rays: Array) -> None:
     """Fill the normal equations of each camera's ray [DLT, Hartley & Sturm 1997, inhomogeneous form].
 
@@ -118,12 +129,7 @@ def ray_equations(projections: Array, uv_px: Array, weight: Array, rays: Array) 
             r0, r1, r2 = at * p[2, 0] - p[axis, 0], at * p[2, 1] - p[axis, 1], at * p[2, 2] - p[axis, 2]
             scale = 1.0 / (r0 * r0 + r1 * r1 + r2 * r2)
             offset = scale * (at * p[2, 3] - p[axis, 3])
-            rays[c, 0] += scale * r0 * r0
-            rays[c, 1] += scale * r1 * r0
-            rays[c, 2] += scale * r1 * r1
-            rays[c, 3] += scale * r2 * r0
-            rays[c, 4] += scale * r2 * r1
-            rays[c, 5] += scale * r2 * r2
+            add_outer(rays[c], 0, scale, r0, r1, r2)
             rays[c, 6] -= offset * r0
             rays[c, 7] -= offset * r1
             rays[c, 8] -= offset * r2
@@ -232,18 +238,9 @@ def cost_and_derivatives(
         u0, u1, u2 = (p[0, 0] - u * p[2, 0]) * near, (p[0, 1] - u * p[2, 1]) * near, (p[0, 2] - u * p[2, 2]) * near
         v0, v1, v2 = (p[1, 0] - v * p[2, 0]) * near, (p[1, 1] - v * p[2, 1]) * near, (p[1, 2] - v * p[2, 2]) * near
         g0, g1, g2 = u0 * off_u + v0 * off_v, u1 * off_u + v1 * off_v, u2 * off_u + v2 * off_v
-        normal[0] += w * (u0 * u0 + v0 * v0)
-        normal[1] += w * (u1 * u0 + v1 * v0)
-        normal[2] += w * (u1 * u1 + v1 * v1)
-        normal[3] += w * (u2 * u0 + v2 * v0)
-        normal[4] += w * (u2 * u1 + v2 * v1)
-        normal[5] += w * (u2 * u2 + v2 * v2)
-        normal[6] += bend * g0 * g0
-        normal[7] += bend * g1 * g0
-        normal[8] += bend * g1 * g1
-        normal[9] += bend * g2 * g0
-        normal[10] += bend * g2 * g1
-        normal[11] += bend * g2 * g2
+        add_outer(normal, HESSIAN, w, u0, u1, u2)
+        add_outer(normal, HESSIAN, w, v0, v1, v2)
+        add_outer(normal, CURVATURE, bend, g0, g1, g2)
         normal[12] += w * g0
         normal[13] += w * g1
         normal[14] += w * g2
