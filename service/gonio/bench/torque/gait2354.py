@@ -3,6 +3,7 @@
 Recording: OpenSim's Gait2354 walk on an instrumented treadmill, its plates reduced to vertical force and centre of pressure at
 20 Hz. **This person is one of the 14 that the template was made of**: the numbers show that the method is built as it was
 published, not how it does on people it never saw (5.3 Nm in walking, 0.070 Nm/kg, with the person's laboratory held out).
+``gait2354_knee_peak_nm`` is by how much the largest torque of a knee is missed, whatever its sign, mean of both.
 """
 
 from collections.abc import Callable
