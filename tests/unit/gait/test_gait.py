@@ -153,6 +153,15 @@ def test_events_whichever_way_and_on_a_belt(
         assert_allclose(a.frames, b.frames, atol=0.15)
 
 
+def test_feet_that_slip_under_a_pelvis_that_goes_on_are_on_no_belt(
+    trial: tuple[Walk, WalkTruth, FootPaths],
+) -> None:
+    _, _, paths = trial
+    slipping, on_belt = (find_bouts(_turned(paths, 0.0, -speed_m_s))[0] for speed_m_s in (0.3, 1.25))
+    assert slipping.belt_m_s == 0.0
+    assert_allclose(on_belt.belt_m_s, -1.25, atol=0.03)
+
+
 def test_events_from_force(trial: tuple[Walk, WalkTruth, FootPaths]) -> None:
     walker, truth, _ = trial
     events = events_from_force(truth.times_s, truth.wrench[..., 1], Timebase(rate_hz=RATE_HZ, start_s=0.013))

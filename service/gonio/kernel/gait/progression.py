@@ -25,6 +25,10 @@ SHORTEST_BOUT_S = 0.6
 FLOOR_M_S = 0.15
 """A standing foot that seems to move more slowly stands on the floor: no treadmill runs as slowly."""
 
+MOST_PROGRESS = 0.5
+"""A pelvis that goes on by more than this share of the standing foot's speed is on no belt: the feet were found to slip, as a
+single camera has it that errs in depth."""
+
 
 class Bout(NamedTuple):
     """Straight walking in the frames ``start`` to ``stop``: where forward is, and how fast the ground moves along it."""
@@ -76,7 +80,9 @@ def _measure(paths: FootPaths, start: int, stop: int, yaw_rad: float) -> Bout:
     # At each instant one foot's toes stand still on the ground, and no foot goes back relative to it.
     toe_m_s = np.gradient(paths.toe_lab_m[start:stop] @ forward, axis=0) * rate_hz
     ground_m_s = float(np.median(toe_m_s.min(axis=1)))
-    belt_m_s = ground_m_s if abs(ground_m_s) > FLOOR_M_S else 0.0
     pelvis_m = paths.pelvis_lab_m[start:stop] @ forward
     times_s = np.arange(stop - start) / rate_hz
-    return Bout(start, stop, forward, belt_m_s, float(np.polyfit(times_s, pelvis_m, 1)[0]) - belt_m_s)
+    pelvis_m_s = float(np.polyfit(times_s, pelvis_m, 1)[0])
+    on_belt = abs(ground_m_s) > max(FLOOR_M_S, abs(pelvis_m_s) / MOST_PROGRESS)
+    belt_m_s = ground_m_s if on_belt else 0.0
+    return Bout(start, stop, forward, belt_m_s, pelvis_m_s - belt_m_s)
