@@ -13,6 +13,7 @@ from gonio.kernel.geometry.cameras import project, projection_matrices, undistor
 from gonio.kernel.kinematics.pixel_priors import make_priors
 from gonio.kernel.kinematics.pixel_system import (
     State,
+    Step,
     Trial,
     as_change,
     frame_covariance,
@@ -133,12 +134,15 @@ def test_the_covariance_is_the_inverse_of_the_normal_matrix(trial_and_state: tup
     np.testing.assert_allclose(
         frame_covariance(trial, equations, 1.0, shared, factor), covariance, rtol=1e-7, atol=1e-12
     )
-    inverse = prepare_step(trial, equations, 0.0, shared=True)
+    inverse = Step(trial, shared_covariance(trial, equations, 1.0)[1])
+    rough = prepare_step(trial, equations, 0.0, shared=True)  # of single precision: the way down, not a covariance
     for frame, unknown in ((0, 0), (3, 7), (6, 12)):
         right = np.zeros_like(gradient_of(equations, shared=True))
         right[frame * len(trial.free) + unknown] = 1.0
         column = as_change(trial, inverse.of(right)).q[frame, trial.free]
         np.testing.assert_allclose(covariance[frame, :, unknown], column, rtol=1e-5, atol=1e-9)
+        nearly = as_change(trial, rough.of(right)).q[frame, trial.free]
+        np.testing.assert_allclose(nearly, column, atol=1e-4 * np.abs(column).max())
 
 
 @pytest.mark.parametrize("shared", [True, False])

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numba import njit
 from skimage.measure import marching_cubes
+from threadpoolctl import threadpool_limits
 
 from gonio.kernel.carving.hull import carve
 from gonio.kernel.carving.raster import draw, project_vertices
@@ -28,9 +29,11 @@ def carve_part(silhouettes: tuple[Silhouette, ...], voxels: int = VOXELS) -> Car
         InputError: A silhouette is unusable (see :func:`view_of`).
         CaptureError: ``hull-unbounded`` or ``hull-empty``.
     """
-    views = tuple(view_of(silhouette) for silhouette in silhouettes)
-    hull = carve(stack_of(views), voxels)
-    mesh, overlap = _painted(surface_of(hull), views, hull.step_m)
+    # BLAS's own threads would spend as long again in waiting for each other as all the work takes.
+    with threadpool_limits(limits=1, user_api="blas"):
+        views = tuple(view_of(silhouette) for silhouette in silhouettes)
+        hull = carve(stack_of(views), voxels)
+        mesh, overlap = _painted(surface_of(hull), views, hull.step_m)
     return CarvedPart(mesh=mesh, volume_m3=hull.volume_m3, step_m=hull.step_m, overlap=overlap)
 
 
