@@ -151,7 +151,7 @@ def test_each_setting_target_and_bench_of_the_pages_exists() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     settings = {f"GONIO_{field.upper()}" for field in Settings.model_fields} | {"GONIO_KEY", "GONIO_ADMIN_KEY"}
     settings |= set(
-        re.findall(r"GONIO_[A-Z_]+", "".join(p.read_text() for p in (ROOT / "service/gonio/bench").glob("*.py")))
+        re.findall(r"GONIO_[A-Z_]+", "".join(p.read_text() for p in (ROOT / "service/gonio/bench").rglob("*.py")))
     )
     for page in PAGES:
         text = page.read_text()
