@@ -1,6 +1,6 @@
 """What flows through gonio: frozen, shape-checked dataclasses on numpy arrays."""
 
-from gonio.records.articulated import STATIC_M, Floor, JointKind, JointMotion, KnownLength, Part, check_pictures
+from gonio.records.articulated import Floor, JointKind, JointMotion, KnownLength, Part, check_pictures, stands_still
 from gonio.records.background import Background, CameraHeight, Lens, LocatedPictures
 from gonio.records.board import Board, BoardTrack, BoardViews
 from gonio.records.body import (
@@ -92,7 +92,6 @@ __all__ = [
     "REJECTED",
     "REVOLUTE",
     "SOLVED",
-    "STATIC_M",
     "SWAPPED",
     "TOO_FEW_MARKERS",
     "UNKNOWNS",
@@ -176,4 +175,5 @@ __all__ = [
     "WalkTruth",
     "check_pictures",
     "record",
+    "stands_still",
 ]

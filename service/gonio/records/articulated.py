@@ -15,7 +15,11 @@ about the floor's normal while shifting along the floor; shifting along a line."
 
 
 STATIC_M = 1e-3
-"""A camera whose centres spread by less than this certainly stands still."""
+
+
+def stands_still(centres_m: Float[np.ndarray, "picture 3"]) -> bool:
+    """Say whether a camera took all pictures from one place: its centres spread by less than a millimetre."""
+    return bool(np.ptp(centres_m, axis=0).max() < STATIC_M)
 
 
 @record
@@ -109,6 +113,7 @@ def check_pictures(cameras: tuple[Camera, ...], parts: tuple[Part, ...]) -> None
             hint="Give two pictures or more, better four.",
             code="too-few-pictures",
         )
+    still = stands_still(np.stack([camera.centre_lab_m for camera in cameras]))
     for part in parts:
         if len(part.uv_px) != len(cameras):
             raise InputError(
@@ -116,9 +121,8 @@ def check_pictures(cameras: tuple[Camera, ...], parts: tuple[Part, ...]) -> None
                 hint="Give one camera a picture, and NaN where a point is not seen.",
                 code="tracks-do-not-fit",
             )
-        centres = np.stack([camera.centre_lab_m for camera in cameras])
-        still = part.parent is None and np.ptp(centres, axis=0).max() < STATIC_M
-        if part.length is not None and ((part.kind != "free" and not still) or part.on_floor.any()):
+        sizes_any = still and part.parent is None
+        if part.length is not None and ((part.kind != "free" and not sizes_any) or part.on_floor.any()):
             raise InputError(
                 f"Part {part.name}: a known length serves a freely moving part that no floor gives its size, or any part "
                 "that moves against the world before a camera that stands still.",

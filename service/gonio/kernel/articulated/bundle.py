@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from gonio.kernel.articulated.motion import Motions, cross, step, twists_of
 from gonio.kernel.articulated.normal_equations import Marks, reduce_points, steps_of_points, sum_losses
-from gonio.records import STATIC_M, UNKNOWNS, JointKind
+from gonio.records import UNKNOWNS, JointKind, stands_still
 
 HUBER = 3.0
 """Residuals beyond this many standard deviations count linearly."""
@@ -53,7 +53,7 @@ class Sights:
     @property
     def still(self) -> bool:
         """Whether all pictures are from one place."""
-        return bool(np.ptp(self.o_m, axis=0).max() < STATIC_M)
+        return stands_still(self.o_m)
 
     def of_points(self, which: Bool[np.ndarray, " point"]) -> "Sights":
         """Keep some points."""

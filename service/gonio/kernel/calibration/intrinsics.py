@@ -84,7 +84,7 @@ def solve_intrinsics(
     usable = spans_the_plane(board.corners_board_m, uv_px)
     if usable.sum() < MIN_VIEWS:
         raise CaptureError(
-            f"Camera {camera_name}: the board was found in {int(usable.sum())} pictures; its lens can't be calibrated.",
+            f"Camera {camera_name}: the board was found in too few pictures to calibrate its lens: {int(usable.sum())}.",
             hint="Film the board close, so that it fills half of the picture, tilted in all directions: 20 pictures or more.",
             code="intrinsics-too-few-views",
             views=int(usable.sum()),
