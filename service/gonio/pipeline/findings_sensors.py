@@ -119,7 +119,8 @@ SENSOR_KINDS: dict[str, Kind] = {
         "warning",
         "pressure",
         "In the mean the soles show {value:.0f} % of the body's weight.",
-        "Calibrate the soles; check the subject's mass, and that the soles cover the whole foot.",
+        "Calibrate the soles; check the subject's mass, that the soles cover the whole foot, and that the stream is this "
+        "subject's.",
         "%",
     ),
     "plates-not-used": Kind(

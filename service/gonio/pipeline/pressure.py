@@ -40,6 +40,8 @@ LATE_S = 0.020
 """A hardware trigger that the walk contradicts by so much, and by three standard deviations, is named."""
 
 GAIN_RANGE = (0.85, 1.15)
+"""Soles that show a weight outside of this share of the subject's are named: uncalibrated, or somebody else's."""
+
 NOT_ZERO_SHARE = 0.03
 LOW_RATE_HZ = 15.0
 
