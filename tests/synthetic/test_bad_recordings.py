@@ -19,7 +19,7 @@ from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, ReconstructionParameters, Subject
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
+from gonio.pipeline.reconstruction import hold_lengths, reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.run import LocalRunner
 from gonio.records import FILLED, MEASURED, MISSING, Finding, ImagePoints, LabPoints, MarkerSet, Rig, VirtualTrial, Walk
 from gonio.resources import models_dir
@@ -62,9 +62,8 @@ def river(points: ImagePoints, rig: Rig, parameters: ReconstructionParameters = 
     steady = run("tripods", lambda _: leave_out_moved_cameras(synchronous, rig, parameters))
     refined = run("cameras", lambda _: refine_cameras(steady, rig, parameters))
     raw = run("triangulation", lambda _: reconstruct(steady, refined.rig, parameters))
-    return Answer(
-        points=run("smoothing", lambda _: smooth(steady, raw, parameters)), findings={f.code: f for f in run.findings}
-    )
+    tracks = run("smoothing", lambda _: smooth(steady, raw, parameters))
+    return Answer(points=hold_lengths(tracks, parameters), findings={f.code: f for f in run.findings})
 
 
 def edited(points: ImagePoints, edit: Callable[[np.ndarray, np.ndarray], None]) -> ImagePoints:
@@ -123,7 +122,7 @@ def test_a_second_that_only_one_camera_saw_is_a_gap_and_said(trial: VirtualTrial
 def test_the_body_is_fitted_around_a_dark_second_and_is_less_sure_at_its_edges(trial: VirtualTrial) -> None:
     points = darkened(trial, HALF, HALF + 60, slice(1, None))
     raw = reconstruct(points, trial.rig, CHOSEN).value
-    tracks = smooth(points, raw, CHOSEN).value
+    tracks = hold_lengths(smooth(points, raw, CHOSEN).value, CHOSEN)
     body = scale_to_subject(tracks, Subject(sex="male")).value
     found = fit_motion(body, tracks, points, raw.rig, Parameters()).value
     assert found.fit is not None

@@ -11,7 +11,7 @@ from gonio.kernel.virtual_lab import PRESETS, film, grow, make_rig, walk
 from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.motion import BodyMotion, fit_motion
 from gonio.pipeline.params import Parameters, Subject
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth
+from gonio.pipeline.reconstruction import hold_lengths, reconstruct, refine_cameras, smooth
 from gonio.pipeline.run import Progress
 from gonio.records import Motion, VirtualTrial
 from gonio.resources import models_dir
@@ -33,7 +33,7 @@ def solve(trial: VirtualTrial, on_progress: Progress | None = None) -> BodyMotio
     chosen = Parameters()
     rig = refine_cameras(trial.points, trial.rig, chosen.reconstruction).value.rig
     raw = reconstruct(trial.points, rig, chosen.reconstruction).value
-    points = smooth(trial.points, raw, chosen.reconstruction).value
+    points = hold_lengths(smooth(trial.points, raw, chosen.reconstruction).value, chosen.reconstruction)
     body = scale_to_subject(points, Subject(sex="male", mass_kg=trial.walk.body.mass_kg)).value
     return fit_motion(body, points, trial.points, raw.rig, chosen, on_progress).value
 

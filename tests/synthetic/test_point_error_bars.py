@@ -10,7 +10,7 @@ from gonio.formats.osim import read_osim
 from gonio.kernel.geometry.transforms import apply
 from gonio.kernel.virtual_lab import PRESETS, film, make_rig, walk
 from gonio.pipeline.params import ReconstructionParameters
-from gonio.pipeline.reconstruction import reconstruct, smooth
+from gonio.pipeline.reconstruction import hold_lengths, reconstruct, smooth
 from gonio.records import VirtualTrial
 from gonio.resources import models_dir
 
@@ -32,8 +32,9 @@ def inside(trial: VirtualTrial, cameras: int) -> np.ndarray:
         seen, camera_names=seen.camera_names[:cameras], uv_px=seen.uv_px[:cameras], confidence=seen.confidence[:cameras]
     )
     rig = replace(trial.rig, cameras=trial.rig.cameras[:cameras])
-    raw = reconstruct(keypoints, rig, ReconstructionParameters()).value
-    points = smooth(keypoints, raw, ReconstructionParameters()).value
+    chosen = ReconstructionParameters()
+    raw = reconstruct(keypoints, rig, chosen).value
+    points = hold_lengths(smooth(keypoints, raw, chosen).value, chosen)
     T_turned_lab = raw.rig.cameras[0].T_lab_cam @ np.linalg.inv(rig.cameras[0].T_lab_cam)
     error = points.xyz_lab_m - apply(T_turned_lab, trial.seen_lab_m)
     known = np.isfinite(error).all(axis=-1)

@@ -25,7 +25,7 @@ from gonio.pipeline.keypoints import Keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, Subject
 from gonio.pipeline.pressure import Measured
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
+from gonio.pipeline.reconstruction import hold_lengths, reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.report import key_lines, load_report, write_report
 from gonio.pipeline.report_schema import report_schema
 from gonio.pipeline.run import CaptureFile, LocalRunner
@@ -93,7 +93,8 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
     delays, points = runner("synchronization", lambda _: synchronize(points, rig, chosen.reconstruction))
     refined = runner("cameras", lambda _: refine_cameras(points, rig, chosen.reconstruction))
     raw = runner("triangulation", lambda _: reconstruct(points, refined.rig, chosen.reconstruction))
-    smoothed = runner("smoothing", lambda _: smooth(points, raw, chosen.reconstruction))
+    tracks = runner("smoothing", lambda _: smooth(points, raw, chosen.reconstruction))
+    smoothed = hold_lengths(tracks, chosen.reconstruction)
     body = runner("scaling", lambda _: scale_to_subject(smoothed, chosen.subject))
     motion = runner("kinematics", lambda _: fit_motion(body, smoothed, points, raw.rig, chosen))
     cycles = runner("gait", lambda _: analyse_gait(motion, smoothed.timebase, NOTHING))
@@ -127,6 +128,7 @@ def analysis(rig: Rig, tmp_path: Path) -> Analysis:
         synchronization=delays,
         refinement=refined,
         raw=raw,
+        tracks=tracks,
         points=smoothed,
         body=body,
         motion=motion,

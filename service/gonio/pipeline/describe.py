@@ -68,6 +68,8 @@ class Analysis:
     synchronization: Synchronization
     refinement: PersonRefinement
     raw: Reconstructed
+    tracks: LabPoints
+    """Smooth, each keypoint for itself; ``points`` are these, with the segments' lengths held."""
     points: LabPoints
     body: SubjectBody
     motion: BodyMotion
@@ -168,7 +170,7 @@ def describe_person(keypoints: Keypoints, number: int) -> PersonReport:
 def describe_reconstruction(analysis: Analysis) -> Reconstruction:
     """Describe how far the cameras agree, and how steady the segments are."""
     error_px = np.linalg.norm(analysis.raw.points.residual_px, axis=-1)
-    before, after = segment_lengths_m(analysis.raw.points), segment_lengths_m(analysis.points)
+    before, after = segment_lengths_m(analysis.raw.points), segment_lengths_m(analysis.tracks)
     return Reconstruction(
         method=analysis.parameters.reconstruction.method,
         smoothing=analysis.parameters.reconstruction.smoothing,

@@ -145,6 +145,7 @@ def analyse_one_camera(
         synchronization=trusted(capture.rig),
         refinement=unrefined(capture.rig),
         raw=seen.raw,
+        tracks=seen.raw.points,
         points=seen.raw.points,
         body=body,
         motion=motion,

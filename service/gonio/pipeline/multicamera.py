@@ -15,7 +15,14 @@ from gonio.pipeline.keypoints import find_keypoints
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import parse_parameters, with_file_defaults
 from gonio.pipeline.pressure import measure_forces, read_sensors
-from gonio.pipeline.reconstruction import calibrated_delays, reconstruct, refine_cameras, smooth, synchronize
+from gonio.pipeline.reconstruction import (
+    calibrated_delays,
+    hold_lengths,
+    reconstruct,
+    refine_cameras,
+    smooth,
+    synchronize,
+)
 from gonio.pipeline.report import write_report
 from gonio.pipeline.run import CaptureFile, Outcome, ReportFiles, StageRunner
 from gonio.pipeline.trial_lab import lab_source
@@ -56,7 +63,8 @@ def analyse(
     refined = runner("cameras", lambda _: refine_cameras(steady, capture.rig, chosen.reconstruction))
     source = lab_source(capture_files)
     raw = runner("triangulation", lambda _: reconstruct(steady, refined.rig, chosen.reconstruction, source))
-    points = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
+    tracks = runner("smoothing", lambda _: smooth(steady, raw, chosen.reconstruction))
+    points = hold_lengths(tracks, chosen.reconstruction)
     body = runner("scaling", lambda _: scale_to_subject(points, chosen.subject, capture_files))
     motion = runner("kinematics", lambda progress: fit_motion(body, points, steady, raw.rig, chosen, progress))
     measured = runner("pressure", lambda _: measure_forces(sensors, motion, chosen, raw.R_lab_calibrated))
@@ -73,6 +81,7 @@ def analyse(
         synchronization=delays,
         refinement=refined,
         raw=raw,
+        tracks=tracks,
         points=points,
         body=body,
         motion=motion,

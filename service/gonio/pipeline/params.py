@@ -125,6 +125,13 @@ class ReconstructionParameters:
             "frame, then a median and a zero-lag Butterworth filter."
         ),
     ] = "fusion"
+    segments: Annotated[
+        Literal["steady", "free"],
+        Field(
+            description="`steady`: the smooth points are corrected by what is known of arms and legs, that their segments keep "
+            "their lengths. `free`: each keypoint for itself."
+        ),
+    ] = "steady"
     cutoff_hz: Annotated[
         float, Field(gt=0, le=60, description="Bandwidth of the tracks: 8 Hz for walking, 12 Hz for running.")
     ] = 8.0

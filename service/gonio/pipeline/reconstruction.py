@@ -22,6 +22,7 @@ from gonio.kernel.synchronization.delays import (
 from gonio.kernel.synchronization.looks import shift
 from gonio.kernel.triangulation.fusion import fuse, mark_spans
 from gonio.kernel.triangulation.points import triangulate
+from gonio.kernel.triangulation.segments import hold_segments
 from gonio.pipeline.findings import finding
 from gonio.pipeline.moments import longest_stretch, worst_moment
 from gonio.pipeline.params import ReconstructionParameters
@@ -186,6 +187,16 @@ def smooth(keypoints: ImagePoints, raw: Reconstruction, parameters: Reconstructi
         smoothed = low_pass(smoothed, rate_hz, min(parameters.cutoff_hz, 0.45 * rate_hz))
         points = replace(raw.points, xyz_lab_m=smoothed)
     return Outcome(points, (*judge_gaps(points), *judge_segments(points)))
+
+
+def hold_lengths(tracks: LabPoints, parameters: ReconstructionParameters) -> LabPoints:
+    """Correct tracks by what is known of arms and legs, where that is wanted: that their segments keep their lengths."""
+    names = tracks.keypoint_names
+    ends = [[names.index(end) for end in both] for both in SEGMENTS.values() if set(both) <= set(names)]
+    if parameters.segments == "free" or not ends:
+        return tracks
+    xyz_lab_m, covariance_m2 = hold_segments(tracks.xyz_lab_m, tracks.covariance_m2, np.array(ends))
+    return replace(tracks, xyz_lab_m=xyz_lab_m, covariance_m2=covariance_m2)
 
 
 def camera_bias_px(points: LabPoints) -> Float[np.ndarray, "camera 2"]:

@@ -15,7 +15,7 @@ from gonio.pipeline.body import scale_to_subject
 from gonio.pipeline.checks import check_keypoints, leave_out_moved_cameras
 from gonio.pipeline.motion import fit_motion
 from gonio.pipeline.params import Parameters, Subject
-from gonio.pipeline.reconstruction import reconstruct, refine_cameras, smooth, synchronize
+from gonio.pipeline.reconstruction import hold_lengths, reconstruct, refine_cameras, smooth, synchronize
 from gonio.pipeline.run import LocalRunner
 from gonio.records import ImagePoints, Rig, VirtualTrial
 
@@ -64,7 +64,7 @@ def _go(trial: VirtualTrial, points: ImagePoints) -> tuple[dict[str, str], float
     steady = run("tripods", lambda _: leave_out_moved_cameras(synchronous, trial.rig, chosen))
     refined = run("cameras", lambda _: refine_cameras(steady, trial.rig, chosen))
     raw = run("triangulation", lambda _: reconstruct(steady, refined.rig, chosen))
-    found = run("smoothing", lambda _: smooth(steady, raw, chosen))
+    found = hold_lengths(run("smoothing", lambda _: smooth(steady, raw, chosen)), chosen)
     # The walk is along X: turning to the heading changes little.
     error_mm = 1e3 * float(np.nanmean(np.linalg.norm(found.xyz_lab_m - trial.seen_lab_m, axis=-1)))
     return {finding.code: finding.where for finding in run.findings}, error_mm
@@ -123,9 +123,9 @@ def _cover_beside(trial: VirtualTrial, points: ImagePoints) -> float:
     """Give how often the knees' 95 % bands hold the truth beside a dark second, in per cent."""
     chosen = Parameters()
     raw = reconstruct(points, trial.rig, chosen.reconstruction).value
-    tracks = smooth(points, raw, chosen.reconstruction).value
-    body = scale_to_subject(tracks, Subject(sex="male")).value
-    found = fit_motion(body, tracks, points, raw.rig, chosen).value
+    found_points = hold_lengths(smooth(points, raw, chosen.reconstruction).value, chosen.reconstruction)
+    body = scale_to_subject(found_points, Subject(sex="male")).value
+    found = fit_motion(body, found_points, points, raw.rig, chosen).value
     truth = replace(found.motion, coordinate_names=trial.truth.coordinate_names, values=trial.truth.q)
     reach = round(BESIDE_S * RATE_HZ)
     beside = np.r_[DARK.start - reach : DARK.start, DARK.stop : DARK.stop + reach]

@@ -11,15 +11,19 @@ from gonio.kernel.geometry.transforms import apply
 from gonio.pipeline.body import SubjectBody, scale_to_subject
 from gonio.pipeline.motion import BodyMotion, fit_motion
 from gonio.pipeline.params import KinematicsParameters, Parameters, ReconstructionParameters, Subject
-from gonio.pipeline.reconstruction import Reconstruction, reconstruct, refine_cameras, smooth
+from gonio.pipeline.reconstruction import Reconstruction, hold_lengths, reconstruct, refine_cameras, smooth
 from gonio.pipeline.run import CaptureFile
 from gonio.records import ImagePoints, LabPoints, Rig
 
 
 class Points(NamedTuple):
-    """The points of a trial, frame by frame (``raw``) and smooth, in a lab that is turned to the subject."""
+    """The points of a trial, frame by frame (``raw``) and smooth, in a lab that is turned to the subject.
+
+    In ``free`` each keypoint is smooth for itself, in ``smooth`` the segments' lengths are held, unless that was not chosen.
+    """
 
     raw: Reconstruction
+    free: LabPoints
     smooth: LabPoints
     refined: Rig  # not turned
 
@@ -39,7 +43,8 @@ def find_points(points: ImagePoints, rig: Rig, chosen: ReconstructionParameters)
     """Refine the cameras, triangulate and smooth; the cameras' clocks are taken for true."""
     refined = refine_cameras(points, rig, chosen).value.rig
     raw = reconstruct(points, refined, chosen).value
-    return Points(raw, smooth(points, raw, chosen).value, refined)
+    free = smooth(points, raw, chosen).value
+    return Points(raw, free, hold_lengths(free, chosen), refined)
 
 
 def find_motion(
