@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 NAME ?=
 
+# Without kept bytecode each of the hundred processes that tests, demo and service start would compile gonio anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo serve test check bench gate docs format lock reference clean
 
