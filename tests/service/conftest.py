@@ -117,7 +117,7 @@ def lab_without_worker(tmp_path_factory) -> Iterator[Lab]:
 
 @pytest.fixture(scope="session")
 def keyed_lab(tmp_path_factory) -> Iterator[Lab]:
-    """A service with one worker that wants a key of everybody. Its tests carry the mark xdist_group("keyed")."""
+    """A service with one worker that wants a key of everybody."""
     folder = tmp_path_factory.mktemp("keyed")
     with running_lab(make_settings(folder, workers=1, keys="required"), folder) as lab:
         yield lab
@@ -142,7 +142,7 @@ def start_worker(tmp_path) -> Iterator[Callable[[Settings], subprocess.Popen[str
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[servers.Postgres]:
-    """A PostgreSQL server; each test makes a database of its own. Its tests carry the mark xdist_group("servers")."""
+    """A PostgreSQL server; each test makes a database of its own."""
     with servers.postgres() as server:
         yield server
 

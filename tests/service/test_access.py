@@ -17,8 +17,6 @@ from gonio.http.app import create_app
 from gonio.jobs.access import SCOPES, opened
 from gonio.settings import Settings
 
-pytestmark = pytest.mark.xdist_group("keyed")
-
 NOBODY = "00000000-0000-4000-8000-000000000000"
 UPLOAD = {  # what an upload's routes want beside the key
     "Tus-Resumable": "1.0.0",

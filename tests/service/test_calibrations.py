@@ -11,8 +11,6 @@ import pytest
 from gonio.bench.board_sessions import Filming, film, write_films
 from gonio.errors import GonioError, InputError
 
-pytestmark = pytest.mark.xdist_group("calibrations")  # one worker films and calibrates for all of them
-
 UNKNOWN = "00000000-0000-4000-8000-000000000000"
 CARD = """kind = "charuco"
 inner_corners = [7, 5]

@@ -14,8 +14,6 @@ from schemathesis.specs.openapi.checks import (
 from gonio.http.app import create_app
 from gonio.settings import Settings
 
-pytestmark = pytest.mark.xdist_group("keyed")
-
 API = schemathesis.openapi.from_dict(create_app(Settings()).openapi())
 CHECKS = [
     not_a_server_error,

@@ -20,9 +20,6 @@ MOST_MEMORY = 600_000_000
 NOBODY = "00000000-0000-4000-8000-000000000000"
 
 
-pytestmark = pytest.mark.xdist_group("hostile")  # to be bounded over all of them, they go to one service
-
-
 @pytest.fixture(scope="module")
 def lab(lab_without_worker):
     return lab_without_worker

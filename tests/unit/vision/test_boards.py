@@ -18,8 +18,6 @@ from gonio.vision.boards import find_boards
 from gonio.vision.render import Print, draw_board
 from gonio.vision.stills import read_grey
 
-pytestmark = pytest.mark.xdist_group("board-pictures")  # one worker draws for all of them
-
 CHECKERS = Board(name="checkers", kind="checkerboard", corners_across=7, corners_down=4, square_m=0.06)
 CAMERA = make_rig(1, radius_m=1.6, height_m=1.2, target_m=(0.0, 1.0, 0.0), focal_px=700.0).cameras[0]
 
