@@ -3,6 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 NAME ?=
+# A file's tests share what is costly to set up, so they stay on one core; in the order of their names, the long ones come first.
+SPREAD := -n auto --dist loadfile --no-loadscope-reorder
+
+# Without kept bytecode each of the hundred processes that tests, demo and service start would compile gonio anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo serve test check bench gate docs format lock reference clean
@@ -17,14 +22,14 @@ serve: $(VENV)/runtime $(VENV)/dashboard  ## start the service on 127.0.0.1:8000
 	$(BIN)/gonio serve
 
 test: $(VENV)/dev $(VENV)/dashboard  ## all tests
-	$(BIN)/python -m pytest -n auto --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest $(SPREAD) $(ARGS)
 
 check: $(VENV)/dev  ## format, lint, types, import contracts, unit and law tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -q -n auto -m "not slow" tests/unit tests/laws tests/architecture
+	$(BIN)/python -m pytest -q $(SPREAD) -m "not slow" tests/unit tests/laws tests/architecture
 
 bench: $(VENV)/dev  ## accuracy and speed against the rivals; NAME=keypoints for one
 	$(BIN)/gonio bench $(NAME)

@@ -77,6 +77,14 @@ def test_the_import_contracts_hold() -> None:
     assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
+def test_a_worker_starts_without_what_only_reports_need() -> None:
+    """These are half of what there would be to load; whoever needs one imports it where it is used."""
+    slow = {"matplotlib", "pandas", "scipy.signal", "scipy.stats"}
+    script = f"import sys, gonio.jobs.worker, gonio.pipeline.rivers; print(*sorted({slow} & set(sys.modules)))"
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == []
+
+
 def test_generated_pages_are_up_to_date() -> None:
     pages: dict[Path, str] = runpy.run_path(str(ROOT / "docs" / "generate.py"))["pages"]()
     stale = [str(p.relative_to(ROOT)) for p, text in pages.items() if not p.exists() or p.read_text() != text]

@@ -23,7 +23,7 @@ def report(balancing: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[st
     return json.loads(written.document.read_text())
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("balancing")]
+pytestmark = pytest.mark.slow
 
 
 def test_the_cameras_agree_after_the_refinement(report: dict) -> None:

@@ -96,15 +96,26 @@ def make_settings(folder: Path, **values: Any) -> Settings:
     return Settings(**{"data_dir": folder / "data", "cache_dir": folder / "cache", **defaults, **values})
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def lab(tmp_path_factory) -> Iterator[Lab]:
-    """A service with one worker, for the tests of a module that don't break anything."""
+    """A service with one worker, for all tests that don't break anything: to start one takes seconds.
+
+    It holds what other tests have left, so a test looks at its own sessions and jobs, and leaves no job that still runs.
+    """
     folder = tmp_path_factory.mktemp("a lab ü ")
     with running_lab(make_settings(folder, workers=1), folder) as lab:
         yield lab
 
 
 @pytest.fixture(scope="module")
+def lab_without_worker(tmp_path_factory) -> Iterator[Lab]:
+    """A service for the tests of a module, which holds nothing but what they left; it computes nothing."""
+    folder = tmp_path_factory.mktemp("a lab")
+    with running_lab(make_settings(folder, workers=0), folder) as lab:
+        yield lab
+
+
+@pytest.fixture(scope="session")
 def keyed_lab(tmp_path_factory) -> Iterator[Lab]:
     """A service with one worker that wants a key of everybody."""
     folder = tmp_path_factory.mktemp("keyed")
@@ -131,7 +142,7 @@ def start_worker(tmp_path) -> Iterator[Callable[[Settings], subprocess.Popen[str
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[servers.Postgres]:
-    """A PostgreSQL server; each test makes a database of its own. Its tests carry the mark xdist_group("servers")."""
+    """A PostgreSQL server; each test makes a database of its own."""
     with servers.postgres() as server:
         yield server
 

@@ -1,6 +1,5 @@
 """Keys, scopes and labs: who gets in, who sees what, and what is kept of it."""
 
-import os
 import re
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from uuid import uuid4
 import httpx
 import pytest
 
+from gonio.cli import main as gonio_main
 from gonio.client import Client
 from gonio.errors import InputError
 from gonio.http.app import create_app
@@ -224,7 +224,7 @@ def test_who_read_what_of_a_subject_is_kept(labs):
 
 
 def test_without_keys_only_the_machine_itself_gets_in(start_lab):
-    lab = start_lab()
+    lab = start_lab(workers=0)
     url = f"{lab.url}/v1/sessions"
     assert httpx.get(url).status_code == 200
     for headers in ({"X-Forwarded-For": "10.0.0.7"}, {"Via": "1.1 proxy"}, {"Host": "evil.example"}):
@@ -242,39 +242,51 @@ def test_without_keys_only_the_machine_itself_gets_in(start_lab):
     assert answer(httpx.get(url)) == (401, "key-missing")  # the last key's end does not open the door again
 
 
-@pytest.mark.parametrize(
-    "values",
-    [{"keys": "required"}, {"host": "0.0.0.0"}, {"database_url": "sqlite:///{}/elsewhere.db"}],
-    ids=str,
-)
+@pytest.mark.parametrize("values", [{"host": "0.0.0.0"}, {"database_url": "sqlite:///{}/elsewhere.db"}], ids=str)
 def test_a_service_that_is_not_for_itself_alone_wants_keys(start_lab, tmp_path, values):
-    lab = start_lab(**{name: value.format(tmp_path) for name, value in values.items()})
+    """As does one with the setting keys=required: that is the service of the tests above."""
+    lab = start_lab(workers=0, **{name: value.format(tmp_path) for name, value in values.items()})
     port = httpx.URL(lab.url).port
     assert answer(httpx.get(f"http://127.0.0.1:{port}/v1/sessions")) == (401, "key-missing")
 
 
-def test_the_command_line_makes_lists_rotates_and_revokes(tmp_path):
-    environment = {**os.environ, "GONIO_DATA_DIR": str(tmp_path)}
+def test_the_command_line_makes_lists_rotates_and_revokes(tmp_path, monkeypatch, capsys):
+    """The first key is made by a process; the other commands run in this one, which has loaded what they need."""
+    monkeypatch.setenv("GONIO_DATA_DIR", str(tmp_path))
 
-    def gonio(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [str(Path(sys.executable).with_name("gonio")), "keys", *words]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    def gonio(*words: str) -> tuple[str, str]:
+        monkeypatch.setattr(sys, "argv", ["gonio", "keys", *words])
+        with pytest.raises(SystemExit) as ended:
+            gonio_main()
+        out, err = capsys.readouterr()
+        assert ended.value.code == (1 if err else 0)
+        return out.strip(), err
 
-    first = gonio("create", "north", "--name", "door", "--scope", "read").stdout.strip()
+    command = [
+        str(Path(sys.executable).with_name("gonio")),
+        "keys",
+        "create",
+        "north",
+        "--name",
+        "door",
+        "--scope",
+        "read",
+    ]
+    first = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     assert re.fullmatch(r"gonio_[\w-]{43}", first)
-    listed = gonio("list", "north").stdout
+    listed, _ = gonio("list", "north")
     assert "read  door  (never used" in listed
-    second = gonio("rotate", "north", listed.split()[0], "--grace-hours", "0").stdout.strip()
+    second, _ = gonio("rotate", "north", listed.split()[0], "--grace-hours", "0")
     settings = Settings(data_dir=tmp_path)
     with opened(settings) as access:
         assert access.caller(first) is None
         caller = access.caller(second)
         assert caller is not None
         assert (caller.lab, caller.scopes) == ("north", ("read",))
-    assert "scope-unknown" in gonio("create", "north", "--scope", "root").stderr
-    assert "lab-name-wrong" in gonio("create", "../north").stderr
-    assert "not-found" in gonio("revoke", "south", listed.split()[0]).stderr
-    assert "not-found" in gonio("revoke", "north", str(uuid4())).stderr
+    assert "scope-unknown" in gonio("create", "north", "--scope", "root")[1]
+    assert "lab-name-wrong" in gonio("create", "../north")[1]
+    assert "not-found" in gonio("revoke", "south", listed.split()[0])[1]
+    assert "not-found" in gonio("revoke", "north", str(uuid4()))[1]
 
 
 def test_a_lab_name_is_checked(tmp_path):

@@ -14,8 +14,6 @@ from gonio.jobs.service import Service
 from gonio.jobs.store import Store
 from gonio.jobs.tables import ErasureRow, now
 
-pytestmark = pytest.mark.xdist_group("servers")
-
 KEPT = {"erasures", "readings"}
 """What stays, and is told: which session was deleted when, and who read it. Ids only."""
 

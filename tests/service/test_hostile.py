@@ -21,6 +21,11 @@ NOBODY = "00000000-0000-4000-8000-000000000000"
 
 
 @pytest.fixture(scope="module")
+def lab(lab_without_worker):
+    return lab_without_worker
+
+
+@pytest.fixture(scope="module")
 def sessions(lab) -> dict[str, str]:
     return {kind: lab.client.create_session(kind=kind)["id"] for kind in ("human_multicamera", "calibration")}
 

@@ -12,7 +12,6 @@ from gonio.jobs.store import Store
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("servers")
 @pytest.mark.parametrize("database", ["sqlite", "postgres"])
 def test_killing_at_random_loses_nothing_and_repeats_nothing(request, tmp_path, monkeypatch, database):
     url = objects = ""

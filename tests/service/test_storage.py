@@ -17,8 +17,6 @@ from gonio.jobs.store import Store
 from gonio.jobs.tables import METADATA, KeyRow
 from gonio.settings import Settings
 
-pytestmark = pytest.mark.xdist_group("servers")
-
 
 @pytest.fixture(params=["sqlite", "postgres"])
 def settings(request, tmp_path) -> Settings:

@@ -1,6 +1,6 @@
 """A worker with a small river: real stages that read the files, compute, take their time, and fail on request.
 
-Calibrations it computes with gonio's own river.
+Calibrations and objects it computes with gonio's own rivers.
 
 Run as a process: ``python worker_main.py``. What its stages do is written to the file ``parameters["journal"]``.
 """
@@ -19,8 +19,6 @@ from jaxtyping import Float
 from gonio.errors import CaptureError
 from gonio.jobs.logs import set_up_logging
 from gonio.jobs.worker import run_worker
-from gonio.pipeline.articulated_session import OBJECT_SHARES, analyse_object
-from gonio.pipeline.calibration import CALIBRATION_SHARES, calibrate
 from gonio.pipeline.run import CaptureFile, Outcome, Progress, ReportFiles, River, StageRunner
 from gonio.records import Finding, record
 from gonio.settings import Settings
@@ -125,12 +123,17 @@ def analyse(
     return runner("report", river.stage("report", 0, write))
 
 
+class Rivers(dict[str, River]):
+    """The small river, and gonio's own ones, which are loaded for the first job of their kind: that takes seconds."""
+
+    def __missing__(self, kind: str) -> River:
+        from gonio.pipeline.rivers import RIVERS
+
+        return RIVERS[kind]
+
+
 if __name__ == "__main__":
     set_up_logging(Settings())
     supervisor = os.environ.get("GONIO_SUPERVISOR_PID")
-    rivers = {
-        "human_multicamera": River(analyse, SHARES),
-        "articulated_object": River(analyse_object, OBJECT_SHARES),
-        "calibration": River(calibrate, CALIBRATION_SHARES),
-    }
+    rivers = Rivers(human_multicamera=River(analyse, SHARES))
     run_worker(Settings(), rivers, supervisor_pid=int(supervisor) if supervisor else None)

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from gonio.records import FEET, GaitAnalysis, TimeCurve
@@ -50,6 +49,8 @@ def can_write_parquet() -> bool:
 
 def write_cycle_parquet(path: Path, gait: GaitAnalysis) -> None:
     """Write what :func:`write_cycle_table` writes as Apache Parquet, with all digits; null is not known."""
+    import pandas as pd  # slow to load, and a worker starts without it
+
     table = pd.DataFrame.from_records(list(_cycle_rows(gait)), columns=list(CYCLE_COLUMNS))
     table.to_parquet(path, engine="pyarrow", index=False)
 

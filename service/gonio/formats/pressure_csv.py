@@ -9,10 +9,9 @@ from collections.abc import Generator, Iterator
 from contextlib import closing
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float
 
 from gonio.errors import InputError
@@ -37,6 +36,9 @@ from gonio.formats.pressure_card import (
 from gonio.formats.pressure_checks import check_values
 from gonio.formats.pressure_mat import FeetOnMat, split_by_foot
 from gonio.records import FEET, FootPressure, PressureStream
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_SAMPLES = 2_000_000
 """A recording of ten minutes at 3 kHz; kept, it takes 130 MB."""
@@ -123,6 +125,8 @@ def read_pressure(
 
 def write_pressure(path: Path, pressure: FootPressure) -> None:
     """Write a stream as a table that needs no card; a lost value is an empty cell. Microseconds, mN and µm are kept."""
+    import pandas as pd
+
     columns = [pressure.times_s]
     for foot in range(len(FEET)):
         columns += [pressure.vertical_n[:, foot], *pressure.cop_foot_m[:, foot].T]
@@ -208,6 +212,8 @@ def _ascending(parts: Iterator[_Part], name: str) -> Iterator[_Part]:
 
 def _parts(path: Path, name: str, card: PressureCard, feet: FeetOnMat | None) -> Generator[_Part, None, None]:
     """Parse the table a part at a time."""
+    import pandas as pd  # slow to load, and a worker starts without it
+
     separator, header = _header(path, name, card.time.column)
     described = parts_of(card)
     absent = [side for side, part in described.items() if not set(columns_of(part)) & set(header)]
@@ -292,7 +298,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _reduce_mat(
-    table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: MatCard, feet: FeetOnMat | None
+    table: "pd.DataFrame", times_s: Float[np.ndarray, " sample"], card: MatCard, feet: FeetOnMat | None
 ) -> _Part:
     """Turn a part of a mat's table into force and centre of pressure of the feet on it."""
     forces, saturated = _sensor_forces(table, card, card.mat)
@@ -300,7 +306,7 @@ def _reduce_mat(
     return _Part(times_s, force, cop_m, np.stack([saturated, saturated], axis=1))
 
 
-def _reduce(table: pd.DataFrame, times_s: Float[np.ndarray, " sample"], card: ForceCard | SensorCard) -> _Part:
+def _reduce(table: "pd.DataFrame", times_s: Float[np.ndarray, " sample"], card: ForceCard | SensorCard) -> _Part:
     """Turn a part of the table into force and centre of pressure."""
     force, cop_m = np.empty((len(table), len(FEET))), np.empty((len(table), len(FEET), 2))
     saturated = np.zeros((len(table), len(FEET)), dtype=bool)
@@ -335,10 +341,12 @@ def _turn(
 
 
 def _sensor_forces(
-    table: pd.DataFrame, card: SensorCard | MatCard, field: SensorField
+    table: "pd.DataFrame", card: SensorCard | MatCard, field: SensorField
 ) -> tuple[Float[np.ndarray, "sample sensor"], Bool[np.ndarray, " sample"]]:
     """Give each sensor's force, NaN where it is lost, and where a sensor could not show all of it."""
     if field.list_column:
+        import pandas as pd
+
         lines = table[field.list_column].fillna("").str.strip("[]() ")
         cells = pd.read_csv(
             StringIO("\n".join(line or field.separator for line in lines)),

@@ -10,7 +10,6 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from gonio.errors import InputError
@@ -86,6 +85,8 @@ def _read_lines(path: Path) -> list[str]:
 
 def _read_table(path: Path, lines: list[str], columns: int) -> Float[np.ndarray, "frame column"]:
     """Parse the rows; short rows are filled with NaN, since trailing blanks are often lost."""
+    import pandas as pd  # slow to load, and a worker starts without it
+
     rows = [line.rstrip() for line in lines if line.strip()]
     long = next((number for number, row in enumerate(rows, start=1) if row.count("\t") >= columns), None)
     if long is not None:

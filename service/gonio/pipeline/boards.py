@@ -4,7 +4,6 @@ from pathlib import Path
 
 from gonio.errors import InputError
 from gonio.formats.board_card import PAPERS_MM, BoardCard, Paper
-from gonio.formats.board_pdf import write_board_pdf
 from gonio.vision.board_drawing import draw_board
 
 
@@ -14,6 +13,8 @@ def print_board(card: BoardCard, path: Path, tile_paper: Paper | None = None) ->
     Raises:
         InputError: ``board-dictionary-unknown``, ``board-dictionary-small``.
     """
+    from gonio.formats.board_pdf import write_board_pdf  # with matplotlib: slow to load
+
     drawing = draw_board(card.board)
     return write_board_pdf(
         path,

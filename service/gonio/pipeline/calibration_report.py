@@ -10,7 +10,6 @@ from gonio.formats.calibration import write_calibration_as
 from gonio.kernel.calibration.rig import RigSolution
 from gonio.kernel.calibration.verdict import CRITERIA
 from gonio.kernel.geometry.transforms import apply
-from gonio.pipeline.calibration_figures import coverage_figure, plan_figure
 from gonio.pipeline.run import ReportFiles
 from gonio.records import BoardViews, Calibration, Judgement, Level, RigCheck
 
@@ -53,6 +52,8 @@ def write_calibration_report(
     output_dir: Path,
 ) -> ReportFiles:
     """Write ``calibration.json``, the same for other programs (Pose2Sim, Qualisys, OpenCV), the pictures and the page."""
+    from gonio.pipeline.calibration_figures import coverage_figure, plan_figure  # with matplotlib: slow to load
+
     paths = [output_dir / name for name in FILES]
     for path in paths:
         write_calibration_as(path, calibration)

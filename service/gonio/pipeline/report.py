@@ -12,7 +12,6 @@ from gonio.formats.mot import Table, table_of_motion, write_mot
 from gonio.formats.osim_writer import write_osim
 from gonio.formats.trc import Trajectories, write_trc
 from gonio.kernel.geometry.cameras import project
-from gonio.pipeline.calibration_figures import plan_figure
 from gonio.pipeline.describe import Analysis, describe
 from gonio.pipeline.dynamics import moment_curves
 from gonio.pipeline.finding_kind import counted
@@ -161,6 +160,8 @@ def draw_pictures(analysis: Analysis) -> dict[str, bytes]:
 
 def draw_plan(analysis: Analysis) -> str:
     """Draw the room with the subject's way through it: which way is up and forward, and what each camera looked at."""
+    from gonio.pipeline.calibration_figures import plan_figure  # with matplotlib: slow to load
+
     names = [n for n in PLAN_KEYPOINTS if n in analysis.points.keypoint_names]
     places = np.concatenate([analysis.points.of(name) for name in names or analysis.points.keypoint_names[:1]])
     known = places[np.isfinite(places[:, 0])]

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from gonio.pipeline.figures import angle_figure, cycle_figure
 from gonio.pipeline.finding_kind import counted
 from gonio.pipeline.report_base import Side
 from gonio.pipeline.report_gait import CycleCurve, GaitParameter, GaitReportSection, Statistic
@@ -24,6 +23,8 @@ class Fact(NamedTuple):
 
 def render_html(report: GaitReport, pictures: Mapping[str, bytes], plan_svg: str) -> str:
     """Render the report as one self-contained page; ``pictures`` holds a JPEG a camera, ``plan_svg`` the room."""
+    from gonio.pipeline.figures import angle_figure, cycle_figure  # with matplotlib: slow to load
+
     environment = Environment(
         loader=PackageLoader("gonio.pipeline", "templates"),
         autoescape=True,

@@ -31,8 +31,6 @@ from gonio.records import Calibration, Judgement, Rig, Verdict
 FILMED = Filming(cameras=3, radius_m=2.4, poses=50, board=SMALL)
 CARD = card_text("5x4", 80, "A0", "DICT_4X4_50", inverted=False)
 
-pytestmark = pytest.mark.xdist_group("calibration-river")  # one worker films for all of them
-
 
 @pytest.fixture(scope="module")
 def session():

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2, trim_mean
+from scipy.special import gammaincinv
 
 from gonio.errors import CaptureError, SolverError
 from gonio.kernel.calibration.board_motion import advance
@@ -98,7 +98,8 @@ class _Measured:
 
 def _middle(values: Float[np.ndarray, " value"]) -> float:
     """Give the mean without the tenth at either end: one corner two pixels off is a tenth of a small square."""
-    return float(trim_mean(values, TRIMMED))
+    cut = int(TRIMMED * len(values))
+    return float(np.sort(values)[cut : len(values) - cut].mean())
 
 
 def measure_boards(
@@ -150,13 +151,16 @@ def _directions(xyz_lab_m: Float[np.ndarray, "frame corner 3"], board: Board) ->
 def _noise_px(residual_px: Float[np.ndarray, "camera point 2"], seen: Bool[np.ndarray, "camera point"]) -> float:
     """Give the corners' standard deviation per axis, from points that n cameras see: ``Σ r² / σ²`` has 2 n − 3 freedoms.
 
-    By each count's median, for which a chi-squared variable's is taken: some corners may be misread altogether.
+    By each count's median, for which a chi-squared variable's is taken, ``2 P⁻¹(freedoms / 2, 1/2)`` with the regularized
+    gamma function P: some corners may be misread altogether. (``scipy.stats`` has it, too, and is slow to load.)
     """
     counts = seen.sum(axis=0)
     squared = np.where(seen, (residual_px**2).sum(axis=-1), 0.0).sum(axis=0)
     shared = counts >= 2
     freedom = 2 * counts[shared] - 3
-    return float(np.sqrt(np.median(squared[shared] / chi2.median(freedom)))) if shared.any() else np.nan
+    return (
+        float(np.sqrt(np.median(squared[shared] / (2.0 * gammaincinv(freedom / 2.0, 0.5))))) if shared.any() else np.nan
+    )
 
 
 def solve_halves(views: BoardViews, solution: RigSolution) -> Halves | None:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
-from scipy.signal import lfilter
 
 from gonio.errors import InputError
 
@@ -161,6 +160,8 @@ def _third_order_butterworth(cutoff_share: float) -> tuple[np.ndarray, np.ndarra
 
 def _both_ways(values: np.ndarray, numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
     """Filter forwards and then backwards; each way starts with three samples taken over as they are."""
+    from scipy.signal import lfilter  # slow to load, and a worker starts without it
+
     for _ in range(2):
         filtered = values.copy()
         # lfilter's state that makes the first three outputs equal the inputs, for y[n] = Σ b x[n−k] − Σ a y[n−k].

@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.signal import find_peaks, peak_prominences
 from scipy.special import ndtr
 
 from gonio.kernel.gait.progression import Bout
@@ -232,6 +231,8 @@ def _farthest(
     A whole stride's peak stands out to both sides. That of a cut one can do so to one side only: it must be as high as a
     stride's, so that feet that stand together at the end are none.
     """
+    from scipy.signal import find_peaks, peak_prominences  # slow to load, and a worker starts without it
+
     extent_m, last = float(np.ptp(reach_m)), len(reach_m) - 1
     least_m, apart = LEAST_PROMINENCE * extent_m, max(1, LEAST_STRIDE_S * rate_hz)
     fenced_m = np.concatenate([[-np.inf], reach_m, [-np.inf]])

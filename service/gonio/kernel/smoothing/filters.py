@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import butter, sosfiltfilt
 
 from gonio.errors import InputError
 
@@ -45,6 +44,8 @@ def low_pass(
     The cutoff is corrected for the double pass, so that the result is 3 dB down at ``cutoff_hz`` [Winter 2009, §2.2.4.4].
     Each run of known values is filtered for itself; a run too short to filter (9 frames or fewer) stays as it is.
     """
+    from scipy.signal import butter, sosfiltfilt  # slow to load, and a worker starts without it
+
     if not 0 < cutoff_hz < rate_hz / 2:
         raise InputError(
             f"A cutoff of {cutoff_hz} Hz is impossible at {rate_hz} frames a second.",
