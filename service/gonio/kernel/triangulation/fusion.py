@@ -24,8 +24,12 @@ from gonio.records import FILLED, MEASURED, MISSING, LabPoints, record
 SIGMA_PX = 6.0
 """A detector's error at confidence 1: it weighs the observations against the smoothness, as the cutoff below says."""
 
-SCALES_M = (0.15, 0.10, 0.07, 0.05, 0.04, 0.03, 0.03, 0.03)
-"""Cauchy's scale in the rounds of reweighting, at the point's depth: wide first, so that a bad start does no harm."""
+SCALES_M = (0.05, 0.03, 0.03, 0.03)
+"""Cauchy's scale in the rounds of reweighting, at the point's depth.
+
+The start is robust already. Beginning wider (0.15 m, eight rounds) lets a burst of outliers draw a track away from where the
+later rounds, which trust what is near, can find back: it made the root mean square error 4 to 18 % larger.
+"""
 
 BAND = 12  # three coordinates a frame, coupled with the three frames before: 3 · 3 + 3
 LOWEST_INFORMATION = 1e-6  # 1/m²: a track without any observation stays where it started
