@@ -138,7 +138,6 @@ def test_what_the_background_does_not_tell_is_refused_by_name() -> None:
     line = X.copy()
     line[:4] = np.array([[0, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.6, 0, 0]])
     cases = {
-        "background-flat": seen(X * (1, 0, 1), cameras),
         "background-camera-static": seen(X, still),
         "floor-points-collinear": seen(line, cameras),
         "background-pictures-apart": blank(background, 5),

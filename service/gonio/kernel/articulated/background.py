@@ -4,6 +4,9 @@ The pair of pictures with the most parallax comes first. Its fundamental matrix 
 camera looks at one thing from all sides they can't be told from two pictures at all), so a range of them is tried: each gives
 a pair of cameras, the other pictures follow one by one, and the bundle adjustment of all says which was right. Then the floor
 and the known lengths make it metric, wrong marks are thrown out, and what the pictures can't tell is refused.
+
+A background that is flat, or nearly, has no fundamental matrix; its homographies give the first guesses
+(:mod:`gonio.kernel.articulated.flat_background`).
 """
 
 from dataclasses import dataclass, replace
@@ -24,76 +27,57 @@ from gonio.kernel.articulated.background_bundle import (
     covariance,
     residuals,
 )
+from gonio.kernel.articulated.background_refusals import refuse
+from gonio.kernel.articulated.flat_background import (
+    NO_VALLEY,
+    Valley,
+    before_plane,
+    check_rivals,
+    check_valley,
+    evidence,
+    told_heights,
+)
+from gonio.kernel.articulated.growing import (
+    FOCALS,
+    LONGEST,
+    MIN_COMMON,
+    MIN_KNOWN,
+    WIDEST,
+    adjust_inside,
+    extend,
+    grow,
+    nothing_known,
+    spread_points,
+)
 from gonio.kernel.articulated.two_views import (
     Epipolar,
     evenness,
     fit_epipolar,
+    fit_homography,
     homography_rms_px,
     relative_poses,
-    resect,
     triangulate_rays,
-    turn_rms_px,
 )
 from gonio.kernel.geometry.transforms import inverse, transform
 from gonio.records import UNKNOWNS, Background, Camera, LocatedPictures
 
-MIN_COMMON = 10
-"""A picture must share so many points with others: eight give an epipolar geometry that nothing checks."""
-
-MIN_KNOWN = 7
-FOCALS = 9
-WIDEST, LONGEST = 0.4, 5.0
-"""Focal lengths that are tried, in longer sides of the picture: from a wide to a long lens."""
-
 CORE = 5
 """So many pictures tell which focal lengths are right; more follow them."""
 
-TRIED = 60
-"""So many points do to tell which focal lengths are right; hundreds may be found in pictures."""
-
 FLAT = 1.5
 """A homography that leaves no more than this multiple of the noise explains a pair."""
+
+PLANE = 0.6
+"""A plane that explains this share of the best pair's good marks is tried as the background."""
+
+ANY_TWO, CHANCE, STILL = 2, 0.05, 0.2
+"""An epipolar geometry of a plane fits any two wrong marks and this share by chance; so many don't speak against a turn."""
 
 REJECT = 4.5
 FINEST_PX = 1e-2
 LINE = 0.06
 UNSURE_LOG_F = 0.25
 """A focal length that is not known to a quarter is not known."""
-
-REFUSALS = {
-    "background-pictures-apart": (
-        "too few background points tie its picture to the others",
-        "Mark ten points or more that it shares with another picture, all around the object.",
-    ),
-    "background-flat": (
-        "the background's points lie in one plane, which does not tell the zoom",
-        "Mark points at different heights and depths too.",
-    ),
-    "background-camera-static": (
-        "the camera only turned or zoomed, so that no depth can be told",
-        "Take the pictures from different places.",
-    ),
-    "background-not-solved": (
-        "no camera explains the background's points",
-        "Check that the points of one name are the same thing in each picture, and that nothing of the background moved.",
-    ),
-    "background-not-observable": (
-        "these points do not tell where the camera was",
-        "Mark more points all around the object, near and far, take pictures from more directions, or give the focal lengths.",
-    ),
-    "floor-points-collinear": ("the floor's points lie on one line", "Mark a point of the floor beside that line."),
-    "background-measure-unseen": (
-        "a point that gives the measure is not seen in two pictures, or was not believed",
-        "Mark it in more pictures, and check its marks.",
-    ),
-}
-"""Each refusal's code, its reason, and its remedy."""
-
-
-def refuse(code: str, where: str = "") -> CaptureError:
-    """Make the error by its code."""
-    reason, remedy = REFUSALS[code]
-    return CaptureError(f"Background{', ' + where if where else ''}: {reason}.", hint=remedy, code=code)
 
 
 @dataclass(frozen=True)
@@ -114,23 +98,41 @@ def locate_pictures(background: Background, *, expected_noise_px: float = 1.0, s
         seed: Of the random samples.
 
     Raises:
-        CaptureError: One of :data:`REFUSALS`.
+        CaptureError: One of :data:`~gonio.kernel.articulated.background_refusals.REFUSALS`.
     """
     used = np.isfinite(background.uv_px).all(axis=-1)
     used &= used.sum(axis=0) >= 2
     problem = Problem(background, used, np.full(used.shape[1], expected_noise_px))
-    guess = _first_guess(problem, seed)
-    problem, guess = _purged(problem, guess)
-    measure = _measure(background, problem.used)
-    problem, guess = _purged(replace(problem, measure=measure), _metric(background, measure, guess))
-    if (problem.used[:, measure.kept].sum(axis=0) < 2).any():
-        raise refuse("background-measure-unseen")
-    spread = covariance(problem, guess)
+    answers, refused = [], None
+    guesses, valley = _first_guesses(problem, seed)
+    for believed, guess in guesses:
+        try:
+            answers.append(_measured(replace(problem, used=believed), guess))
+        except CaptureError as error:
+            refused = refused or error
+    if not answers and refused:
+        raise refused
+    answers = sorted(answers, key=lambda each: evidence(each[0]), reverse=True)
+    problem, guess = answers[0]
+    spread = covariance(problem, told_heights(problem, guess))
     _check(problem, guess, spread)
+    check_rivals(answers, spread)
+    check_valley(problem, guess, spread, valley)
     return _packed(problem, guess, spread)
 
 
-def _first_guess(problem: Problem, seed: int) -> Guess:
+def _measured(problem: Problem, guess: Guess) -> tuple[Problem, Guess]:
+    """Throw out what is wrong, give the world its measure, and adjust all."""
+    problem, guess = _purged(problem, guess)
+    measure = _measure(problem.background, problem.used)
+    problem, guess = _purged(replace(problem, measure=measure), _metric(problem.background, measure, guess))
+    if (problem.used[:, measure.kept].sum(axis=0) < 2).any():
+        raise refuse("background-measure-unseen")
+    return problem, guess
+
+
+def _first_guesses(problem: Problem, seed: int) -> tuple[list[tuple[Bool[np.ndarray, "picture point"], Guess]], Valley]:
+    """Give guesses with the marks to begin with, several where the background is flat, and what was passed there."""
     background, used = problem.background, problem.used
     for i, name in enumerate(background.pictures):
         if max((used[i] & used[j]).sum() for j in range(len(used)) if j != i) < MIN_COMMON:
@@ -142,21 +144,42 @@ def _first_guess(problem: Problem, seed: int) -> Guess:
         if (used[i] & used[j]).sum() >= MIN_COMMON
     ]
     best = max(pairs, key=lambda pair: pair.parallax)
-    if best.parallax < FLAT * problem.sigma_px.max():
-        _refuse_without_parallax(problem, uv, best)
+    common = np.flatnonzero(used[best.first] & used[best.second])
+    _, fits = fit_homography(uv[best.first, common], uv[best.second, common], seed)
+    near, marks = best.parallax < FLAT * problem.sigma_px.max(), best.common.sum()
+    beside = int(marks - best.common[common[fits]].sum()) - ANY_TWO
+    flat = near or beside <= CHANCE * marks
+    guesses, valley = [], NO_VALLEY
+    if flat or fits.sum() > PLANE * marks:
+        guesses, valley = before_plane(problem, uv, seed, still=near or beside <= STILL * marks)
+    if not flat:
+        valley = NO_VALLEY  # what lies beside the plane tells more
+        try:
+            guesses.append((used, _in_depth(problem, uv, best, seed)))
+        except CaptureError:
+            if not guesses:
+                raise
+    if not guesses:
+        raise refuse("background-not-solved")
+    return guesses, valley
+
+
+def _in_depth(problem: Problem, uv: np.ndarray, best: _Pair, seed: int) -> Guess:
+    """Find the cameras from the pair with most parallax."""
+    used = problem.used
     core = _core(used, best)
-    narrow = replace(problem, used=used & _spread_points(used, best, seed))
+    narrow = replace(problem, used=used & spread_points(used, best.common, seed))
     candidates = [
         found
-        for focals in _focals(background, best)
+        for focals in _focals(problem.background, best)
         for found in [_from_pair(narrow, uv, best, focals, core, seed)]
         if found is not None
     ]
     if not candidates:
         raise refuse("background-not-solved")
     shortlist = sorted(candidates, key=lambda each: each[1])[:3]
-    guess, _ = min((_adjusted(narrow, found, core, 60) for found, _ in shortlist), key=lambda each: each[1])
-    return _extended(problem, uv, guess, core, seed)
+    guess, _ = min((adjust_inside(narrow, found, core, 60) for found, _ in shortlist), key=lambda each: each[1])
+    return extend(problem, uv, guess, core, seed)
 
 
 def _pair(uv: np.ndarray, used: np.ndarray, i: int, j: int, seed: int) -> _Pair:
@@ -168,24 +191,10 @@ def _pair(uv: np.ndarray, used: np.ndarray, i: int, j: int, seed: int) -> _Pair:
     return _Pair(i, j, epipolar, common, flat * np.sqrt(min(len(good), 50) / 50))
 
 
-def _refuse_without_parallax(problem: Problem, uv: np.ndarray, pair: _Pair) -> None:
-    """Say whether it was the camera that stood still or the background that is flat."""
-    i, j, lens = pair.first, pair.second, problem.background.lens
-    focal = np.where(np.isfinite(lens.focal_px), lens.focal_px, max(lens.image_size_px))[[i, j]]
-    only_turned = turn_rms_px(uv[i, pair.common], uv[j, pair.common], focal)
-    raise refuse("background-camera-static" if only_turned < 2 * FLAT * problem.sigma_px.max() else "background-flat")
-
-
 def _core(used: Bool[np.ndarray, "picture point"], pair: _Pair) -> list[int]:
     shared = (used & pair.common).sum(axis=1)
     order = [int(i) for i in np.argsort(-shared) if i not in (pair.first, pair.second) and shared[i] >= MIN_KNOWN]
     return [pair.first, pair.second, *order[: CORE - 2]]
-
-
-def _spread_points(used: Bool[np.ndarray, "picture point"], pair: _Pair, seed: int) -> Bool[np.ndarray, " point"]:
-    """Choose the points that the focal lengths are tried on: of the pair's, those that most pictures show."""
-    rank = used.sum(axis=0) + np.random.default_rng(seed).random(used.shape[1]) - len(used) * ~pair.common
-    return np.isin(np.arange(used.shape[1]), np.argsort(-rank)[:TRIED])
 
 
 def _focals(background: Background, pair: _Pair) -> list[tuple[float, float]]:
@@ -218,73 +227,9 @@ def _from_pair(
             best, most = (both_R, both_t, x_m), ahead
     if best is None or most < 0.8 * common.sum():
         return None
-    count = len(problem.used)
-    guess = Guess(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), np.zeros(count), np.zeros(3), best[2])
+    guess = replace(nothing_known(problem.used), x_m=best[2])
     guess.R[[i, j]], guess.t[[i, j]], guess.log_f[[i, j]] = best[0], best[1], np.log(focals)
-    return _grown(problem, uv, guess, core[:2], core[2:], seed)
-
-
-def _grown(
-    problem: Problem, uv: np.ndarray, guess: Guess, inside: list[int], more: list[int], seed: int
-) -> tuple[Guess, float] | None:
-    """Add pictures to those that are inside, each followed by a short adjustment."""
-    focal = problem.background.lens.focal_px
-    scene = _with_points(problem, uv, guess, inside)
-    cost = np.inf
-    for i in more:
-        known = problem.used[i] & np.isfinite(scene.x_m[:, 0])
-        if known.sum() < MIN_KNOWN:
-            return None
-        found = resect(scene.x_m[known], uv[i, known], focal[i], seed)
-        if found is None:
-            return None
-        R, t, log_f = scene.R.copy(), scene.t.copy(), scene.log_f.copy()
-        R[i], t[i], log_f[i] = found[0], found[1], np.log(found[2])
-        inside = [*inside, i]
-        scene = _with_points(problem, uv, replace(scene, R=R, t=t, log_f=log_f), inside)
-        scene, cost = _adjusted(problem, scene, inside, 12)
-    if not more:
-        scene, cost = _adjusted(problem, scene, inside, 12)
-    return (scene, cost) if np.isfinite(cost) else None
-
-
-def _adjusted(problem: Problem, scene: Guess, inside: list[int], iterations: int) -> tuple[Guess, float]:
-    here = np.isin(np.arange(len(problem.used)), inside)[:, None]
-    used = problem.used & here & np.isfinite(scene.x_m[:, 0])
-    ahead = (scene.x_m @ scene.R[:, 2].T + scene.t[:, 2]).T > 0
-    # What lies behind a camera can't be adjusted; it counts as wrong.
-    believed = used & np.where(np.isnan(ahead), False, ahead)
-    believed &= believed.sum(axis=0) >= 2
-    lost = int((used & ~believed).sum())
-    filled = replace(scene, x_m=np.nan_to_num(scene.x_m))
-    found, cost = adjust(replace(problem, used=believed), filled, iterations)
-    known = believed.any(axis=0)
-    return replace(found, x_m=np.where(known[:, None], found.x_m, np.nan)), cost + 50.0 * lost
-
-
-def _with_points(problem: Problem, uv: np.ndarray, guess: Guess, inside: list[int]) -> Guess:
-    """Triangulate the points that the pictures inside show and that have no place yet."""
-    xy = np.where(problem.used[inside][..., None], uv[inside] / np.exp(guess.log_f[inside])[:, None, None], np.nan)
-    fresh = triangulate_rays(guess.R[inside], guess.t[inside], xy)
-    ahead = (fresh @ guess.R[inside, 2].T + guess.t[inside, 2]).T
-    behind = np.asarray((problem.used[inside] & ~(ahead > 0)).any(axis=0))
-    fresh = np.where(behind[:, None], np.nan, fresh)
-    return replace(guess, x_m=np.where(np.isfinite(guess.x_m[:, :1]), guess.x_m, fresh))
-
-
-def _extended(problem: Problem, uv: np.ndarray, guess: Guess, core: list[int], seed: int) -> Guess:
-    """Bring in the pictures beyond the core, the best tied first, and adjust all."""
-    inside = list(core)
-    guess = replace(guess, x_m=np.where((problem.used[core].sum(axis=0) >= 2)[:, None], guess.x_m, np.nan))
-    while len(inside) < len(problem.used):
-        known = np.isfinite(guess.x_m[:, 0])
-        left = [i for i in range(len(problem.used)) if i not in inside]
-        following = max(left, key=lambda i: int((problem.used[i] & known).sum()))
-        grown = _grown(problem, uv, guess, inside, [following], seed)
-        if grown is None:
-            raise refuse("background-pictures-apart", f"picture {problem.background.pictures[following]}")
-        guess, inside = grown[0], [*inside, following]
-    return _adjusted(problem, _with_points(problem, uv, guess, inside), inside, 60)[0]
+    return grow(problem, uv, guess, core[:2], core[2:], seed)
 
 
 def _purged(problem: Problem, guess: Guess) -> tuple[Problem, Guess]:
@@ -299,7 +244,7 @@ def _purged(problem: Problem, guess: Guess) -> tuple[Problem, Guess]:
         everything = replace(problem, used=marked, sigma_px=np.ones_like(problem.sigma_px))
         r, *_ = residuals(everything, guess)
         size = np.hypot(r[..., 0], r[..., 1])
-        left = max(0.1, _freedom(problem) / max(2 * problem.used.sum(), 1))
+        left = max(0.1, problem.freedom / max(2 * problem.used.sum(), 1))
         # Rayleigh's median is 1.1774 deviations; the unknowns took a share of what the marks were off by.
         sigma = problem.sigma_px.copy()
         for group in groups:
@@ -316,13 +261,8 @@ def _purged(problem: Problem, guess: Guess) -> tuple[Problem, Guess]:
     if problem.used.sum() < 0.5 * marked.sum():
         raise refuse("background-not-solved")
     r, *_ = residuals(problem, guess)
-    sigma = problem.sigma_px * np.sqrt((r**2).sum() / max(1, _freedom(problem)))
+    sigma = problem.sigma_px * np.sqrt((r**2).sum() / max(1, problem.freedom))
     return replace(problem, sigma_px=np.maximum(sigma, FINEST_PX)), guess
-
-
-def _freedom(problem: Problem) -> int:
-    used = problem.used
-    return int(2 * used.sum() - 3 * used.any(axis=0).sum() - EACH * len(used) + 7)
 
 
 def _measure(background: Background, used: Bool[np.ndarray, "picture point"]) -> Measure:
@@ -341,6 +281,8 @@ def _measure(background: Background, used: Bool[np.ndarray, "picture point"]) ->
 
 def _metric(background: Background, measure: Measure, guess: Guess) -> Guess:
     """Turn, shift and scale the world as the measure asks."""
+    if not np.isfinite(guess.x_m[measure.kept]).all():
+        raise refuse("background-measure-unseen")
     if measure.floor:
         floor = guess.x_m[list(measure.floor)]
         middle = floor.mean(axis=0)

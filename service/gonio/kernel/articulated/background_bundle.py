@@ -78,12 +78,22 @@ class Problem:
     measure: Measure = NO_MEASURE
 
     @property
+    def free_focals(self) -> Bool[np.ndarray, " picture"]:
+        """Of which pictures the focal length is not held."""
+        return np.isnan(self.background.lens.focal_px) | (self.background.lens.focal_sd_px > 0)
+
+    @property
+    def freedom(self) -> int:
+        """Count the marks' coordinates less the unknowns, seven of which are the world's."""
+        return int(2 * self.used.sum() - 3 * self.used.any(axis=0).sum() - EACH * len(self.used) + 7)
+
+    @property
     def free(self) -> Bool[np.ndarray, " unknown"]:
         """Which of the pictures' unknowns are not held."""
         lens = self.background.lens
         pictures = len(self.used)
         each = np.ones((pictures, EACH), dtype=bool)
-        each[:, 6] = np.isnan(lens.focal_px) | (lens.focal_sd_px > 0)
+        each[:, 6] = self.free_focals
         if self.measure.held is not None:
             each[self.measure.held, :6] = False
         return np.append(each.ravel(), [lens.principal_sd_px > 0, lens.principal_sd_px > 0, lens.k1_sd > 0])

@@ -78,32 +78,50 @@ def fit_epipolar(uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "poin
 
 def homography_rms_px(uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "point 2"]) -> float:
     """Give how well one plane, or a camera that only turned, explains good matches: rms of the transfer, pixels."""
+    off = transfer_px(_homography(uv1, uv2), homogeneous(uv1), uv2)
+    return float(np.sqrt((off**2).mean()))
+
+
+def fit_homography(
+    uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "point 2"], seed: int
+) -> tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " point"]]:
+    """Find the homography ``x2 ~ H x1`` that explains most of four matches or more, and the matches that fit it."""
+    x1, n1, n2 = homogeneous(uv1), _normalising(uv1), _normalising(uv2)
+    y1, y2 = x1 @ n1.T, homogeneous(uv2) @ n2.T
+    chosen = np.argsort(np.random.default_rng(seed).random((SAMPLES, len(uv1))), axis=1)[:, :4]
+    candidates = np.linalg.inv(n2) @ _linear_maps(y1[chosen], y2[chosen]) @ n1
+    best = candidates[np.argmin(np.minimum(transfer_px(candidates, x1, uv2), 2 * CLIP).sum(axis=1))]
+    for _ in range(3):
+        fits = transfer_px(best, x1, uv2) < 2 * CLIP
+        if fits.sum() < 6:
+            break
+        best = _homography(uv1[fits], uv2[fits])
+    return best, transfer_px(best, x1, uv2) < 2 * CLIP
+
+
+def _homography(uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "3 3"]:
     n1, n2 = _normalising(uv1), _normalising(uv2)
     x1, x2 = homogeneous(uv1) @ n1.T, homogeneous(uv2) @ n2.T
-    rows = np.stack(
-        [
-            np.concatenate([x1, np.zeros_like(x1), -x2[:, :1] * x1], axis=1),
-            np.concatenate([np.zeros_like(x1), x1, -x2[:, 1:2] * x1], axis=1),
-        ]
-    )
     weight, plane = np.ones(len(x1)), np.eye(3)
     for _ in range(4):  # dividing by the depth makes the algebraic error one of the picture
-        plane = np.linalg.svd((rows * weight[:, None]).reshape(-1, 9))[2][-1].reshape(3, 3)
+        plane = _linear_maps(x1 * weight[:, None], x2)
         depth = np.abs(x1 @ plane[2])
         weight = 1 / np.maximum(depth, 1e-3 * depth.max())
-    H = np.linalg.inv(n2) @ plane @ n1
-    there = homogeneous(uv1) @ H.T
-    return float(np.sqrt(((there[:, :2] / there[:, 2:] - uv2) ** 2).sum(axis=1).mean()))
+    return np.linalg.inv(n2) @ plane @ n1
 
 
 def turn_rms_px(
-    uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "point 2"], focal_px: Float[np.ndarray, "2"]
-) -> float:
-    """Give how well a camera that only turned and zoomed explains good matches: rms of the transfer, pixels."""
+    uv1: Float[np.ndarray, "point 2"], uv2: Float[np.ndarray, "point 2"],
+    focal_px: Float[np.ndarray, "2"], held: Bool[np.ndarray, "2"],
+) -> float:  # fmt: skip
+    """Give how well a camera that only turned and zoomed explains good matches: rms of the transfer, pixels.
+
+    The focal lengths are sought, but for those that are held.
+    """
     x1 = homogeneous(uv1)
 
     def off(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, " residual"]:
-        f1, f2 = np.exp(np.clip(x[3:], -20, 20))
+        f1, f2 = np.where(held, focal_px, np.exp(np.clip(x[3:], -20, 20)))
         ray = Rotation.from_rotvec(x[:3]).apply(x1 / [f1, f1, 1.0])
         return (ray[:, :2] / np.maximum(ray[:, 2:], 1e-6) * f2 - uv2).ravel()
 
@@ -164,28 +182,30 @@ def resect(
     y = homogeneous(uv) @ n.T
     rng = np.random.default_rng(seed)
     chosen = np.argsort(rng.random((100, len(uv))), axis=1)[:, :6]
-    P = _linear_cameras(X[chosen], y[chosen])
-    fits = _transfer(np.linalg.inv(n) @ P, X, uv) < 2 * CLIP
+    P = _linear_maps(X[chosen], y[chosen])
+    fits = transfer_px(np.linalg.inv(n) @ P, X, uv) < 2 * CLIP
     best = fits[np.argmax(fits.sum(axis=1))]
     chosen_all = best if best.sum() >= 6 else np.ones(len(uv), dtype=bool)
-    M = np.linalg.inv(n) @ _linear_cameras(X[chosen_all], y[chosen_all])
+    M = np.linalg.inv(n) @ _linear_maps(X[chosen_all], y[chosen_all])
     return _as_camera(M @ to_x, x_m[chosen_all], focal_px)
 
 
-def _linear_cameras(
-    X: Float[np.ndarray, "*batch point 4"], y: Float[np.ndarray, "*batch point 3"]
-) -> Float[np.ndarray, "*batch 3 4"]:
+def _linear_maps(
+    X: Float[np.ndarray, "*batch point size"], y: Float[np.ndarray, "*batch point 3"]
+) -> Float[np.ndarray, "*batch 3 size"]:
+    """Solve ``y ~ M X``: points of space (size 4) give a camera, points of a plane (3) a homography."""
     zero = np.zeros_like(X)
     first = np.concatenate([X, zero, -y[..., :1] * X], axis=-1)
     second = np.concatenate([zero, X, -y[..., 1:2] * X], axis=-1)
     rows = np.concatenate([first, second], axis=-2)
-    return np.linalg.svd(rows.swapaxes(-1, -2) @ rows)[2][..., -1, :].reshape(*X.shape[:-2], 3, 4)
+    return np.linalg.svd(rows.swapaxes(-1, -2) @ rows)[2][..., -1, :].reshape(*X.shape[:-2], 3, X.shape[-1])
 
 
-def _transfer(
-    P: Float[np.ndarray, "camera 3 4"], X: Float[np.ndarray, "point 4"], uv: Float[np.ndarray, "point 2"]
-) -> Float[np.ndarray, "camera point"]:
-    Y = X @ P.swapaxes(-1, -2)
+def transfer_px(
+    M: Float[np.ndarray, "*batch 3 size"], X: Float[np.ndarray, "point size"], uv: Float[np.ndarray, "point 2"]
+) -> Float[np.ndarray, "*batch point"]:
+    """Give how far ``M X`` comes from each mark, pixels."""
+    Y = X @ M.swapaxes(-1, -2)
     depth = np.where(np.abs(Y[..., 2:]) > 1e-12, Y[..., 2:], 1e-12)
     return np.linalg.norm(Y[..., :2] / depth - uv, axis=-1)
 

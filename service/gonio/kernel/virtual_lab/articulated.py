@@ -175,14 +175,16 @@ def virtual_background(
     wrong: float = 0.0,
     principal_sd_px: float = 0.0,
     focal_known: bool = False,
+    tallest_m: float = 1.3,
 ) -> tuple[Background, Float[np.ndarray, "point 3"]]:
     """Mark what stands still around a virtual body: four points of the floor, the others anywhere around; gives the truth too.
 
     The first two points of the floor are the origin and a place along X; the first camera's height is the measure. A share
-    ``wrong`` of the marks is 30 px off. What lies outside the picture or behind the camera is not seen.
+    ``wrong`` of the marks is 30 px off. What lies outside the picture or behind the camera is not seen. Nothing is higher than
+    ``tallest_m``: with 0 there is but the floor.
     """
     rng = np.random.default_rng(seed + 100_000)
-    X = rng.uniform([-1.5, 0.0, -1.2], [0.5, 1.3, 1.2], (points, 3))
+    X = rng.uniform([-1.5, 0.0, -1.2], [0.5, tallest_m, 1.2], (points, 3))
     X[:4] = [[0, 0, 0], [0.5, 0, 0], [0.1, 0, 0.5], [0.1, 0, -0.4]]
     size = cameras[0].image_size_px
     uv = np.stack([project(camera, X) for camera in cameras])
