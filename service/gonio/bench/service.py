@@ -114,6 +114,8 @@ def _measure(bench: Bench, kind: str, house: House, capture: list[Path], share: 
     kills = kill_at_random(house, capture, max(round(KILLS * share), 4), dice)
     bench.notes.append(f"{kind}: killed {_told(kills.kills)}; the journal then stood at {_told(kills.stages)}.")
     cuts = cut_at_random(house, capture[-1], house.folder, max(round(CUTS * share), 4), dice)
+    if cuts.given_up:
+        bench.notes.append(f"{kind}: uploads that the client gave up: {_told(cuts.reasons)}.")
     seen = load(house, capture, house.folder, LOAD_S, POLLERS, dice)
     _report(bench, f"_{kind}", Seen([kills], [cuts], [seen]))
     everything.kills.append(kills)

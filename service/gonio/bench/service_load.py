@@ -5,6 +5,7 @@ import random
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ class Cuts:
     """Files whose hash in the service is not their own."""
     given_up: int = 0
     """Uploads that the client ended with an error, because the server was gone for longer than it waits."""
+    reasons: Counter[str] = field(default_factory=Counter[str])
     cuts: int = 0
     server_kills: int = 0
 
@@ -56,8 +58,9 @@ def cut_at_random(house: House, video: Path, folder: Path, count: int, dice: ran
             with house.client() as client:
                 file = client.upload(session, path, on_progress=cut)
             wrong, given_up = file["sha256"] != hashlib.sha256(path.read_bytes()).hexdigest(), False
-        except GonioError:
+        except GonioError as error:
             wrong, given_up = False, True
+            result.reasons[str(error.code)] += 1
         with lock:
             result.uploads += 1
             result.wrong += wrong
