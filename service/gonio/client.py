@@ -38,7 +38,10 @@ Role = Literal[
 RESUMABLE_BYTES = 8_000_000
 """From this size on, an upload can be gone on with after a cut; a smaller one is simply sent again."""
 
-MOST_CUTS = 30
+LONGEST_PAUSE_S = 2.0
+"""Before an upload is gone on with: a service that comes and goes is there for seconds at a time."""
+
+MOST_CUTS = 60
 """After how many cuts in a row, with nothing added in between, an upload is given up: after two minutes, in which a service
 on a slow machine is started anew."""
 
@@ -159,7 +162,7 @@ class Client:
         while True:
             try:
                 if cuts_in_a_row:
-                    time.sleep(min(0.1 * 2**cuts_in_a_row, 5.0))
+                    time.sleep(min(0.1 * 2**cuts_in_a_row, LONGEST_PAUSE_S))
                 place = ""
                 if not url:
                     url = self._request("POST", f"/v1/sessions/{session_id}/uploads", headers=begin).headers["Location"]
