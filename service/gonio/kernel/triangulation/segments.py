@@ -14,12 +14,11 @@ from gonio.kernel.body.tree import Array
 from gonio.kernel.optimize.banded import factorise, substitute
 from gonio.kernel.parallel import over_blocks
 
-SPREAD = 0.03
-"""How far a segment's length may go from its usual one: a standard deviation, as a share of it.
+LEAST_SPREAD = 0.03
+"""How far a segment's length goes from its usual one at least: a standard deviation, as a share of it.
 
-The ends are what a detector calls hip or wrist, not the joints' centres, and wander by a few per cent as the limb turns: held
-to 1 %, points of a real recording foretell what was hidden from them worse than free ones, held to 3 % as well or better
-(docs/derivations/points.md).
+The ends are what a detector calls hip or wrist, not the joints' centres, and wander by some per cent as the limb turns. How
+much, each trial tells by itself (:func:`_usual_lengths`); where errors hide it, it is taken to be this.
 """
 
 FEWEST_FRAMES = 10
@@ -37,7 +36,7 @@ def hold_segments(
     xyz_lab_m: Float[np.ndarray, "frame keypoint 3"],
     covariance_m2: Float[np.ndarray, "frame keypoint 3 3"],
     ends: Int[np.ndarray, "segment 2"],
-    spread: float = SPREAD,
+    least_spread: float = LEAST_SPREAD,
 ) -> tuple[Float[np.ndarray, "frame keypoint 3"], Float[np.ndarray, "frame keypoint 3 3"]]:
     """Correct points by the segments' lengths.
 
@@ -46,36 +45,50 @@ def hold_segments(
         covariance_m2: Theirs.
         ends: The columns of the two keypoints of each segment. A segment's usual length is the median over the frames that
             know both; one that fewer than :data:`FEWEST_FRAMES` know is left alone.
-        spread: Standard deviation of a length, as a share of the usual one.
+        least_spread: The least standard deviation of a length, as a share of the usual one; more where the lengths vary by more
+            than the covariances explain.
 
     One Kalman update a frame, with all segments at once and iterated since a length is not linear in the points [Bell &
     Cathey 1993]. The covariances stay as they were, though the points are nearer to the truth: much of a point's error is its
     cameras' constant one, and the usual length, which comes from the same points, has it too. Where a length is off by more
     than :data:`DOUBTFUL_SD`, those of both ends are enlarged by as much: it is not known which one is wrong.
     """
-    usual_m = _usual_lengths_m(xyz_lab_m, ends)
+    usual_m, spread_m = _usual_lengths(xyz_lab_m, covariance_m2, ends, least_spread)
     held = np.isfinite(usual_m)
     xyz, covariance = xyz_lab_m.copy(), covariance_m2.copy()
     if held.any():
         columns = np.asarray(ends, dtype=np.int64)[held]
 
         def update(start: int, stop: int) -> None:
-            _update_frames(xyz, covariance, columns, usual_m[held], spread, _reach(columns) + 1, start, stop)
+            _update_frames(xyz, covariance, columns, usual_m[held], spread_m[held], _reach(columns) + 1, start, stop)
 
         over_blocks(update, len(xyz), BLOCK_FRAMES)
     return xyz, covariance
 
 
-def _usual_lengths_m(
-    xyz_lab_m: Float[np.ndarray, "frame keypoint 3"], ends: Int[np.ndarray, "segment 2"]
-) -> Float[np.ndarray, " segment"]:
-    usual_m = np.full(len(ends), np.nan)
+def _usual_lengths(
+    xyz_lab_m: Float[np.ndarray, "frame keypoint 3"],
+    covariance_m2: Float[np.ndarray, "frame keypoint 3 3"],
+    ends: Int[np.ndarray, "segment 2"],
+    least_spread: float,
+) -> tuple[Float[np.ndarray, " segment"], Float[np.ndarray, " segment"]]:
+    """Give each segment's usual length and how far it truly goes from it; NaN where too few frames know it.
+
+    The variance of the lengths is that of their errors and the segment's own; medians tell both of the ordinary frames.
+    """
+    usual_m, spread_m = np.full(len(ends), np.nan), np.full(len(ends), np.nan)
     for segment, (first, second) in enumerate(ends):
-        length_m = np.linalg.norm(xyz_lab_m[:, first] - xyz_lab_m[:, second], axis=-1)
-        known_m = length_m[np.isfinite(length_m)]
-        if len(known_m) >= FEWEST_FRAMES:
-            usual_m[segment] = np.median(known_m)
-    return usual_m
+        along_m = xyz_lab_m[:, first] - xyz_lab_m[:, second]
+        length_m = np.linalg.norm(along_m, axis=-1)
+        error_m2 = np.einsum("fi,fij,fj->f", along_m, covariance_m2[:, first] + covariance_m2[:, second], along_m)
+        known = np.isfinite(error_m2) & (length_m > 0)
+        if known.sum() < FEWEST_FRAMES:
+            continue
+        usual_m[segment] = usual = np.median(length_m[known])
+        variance_m2 = (1.4826 * np.median(np.abs(length_m[known] - usual))) ** 2
+        own_m2 = variance_m2 - np.median(error_m2[known] / length_m[known] ** 2)
+        spread_m[segment] = np.sqrt(max(own_m2, (least_spread * usual) ** 2))
+    return usual_m, spread_m
 
 
 def _reach(ends: Int[np.ndarray, "segment 2"]) -> int:
@@ -87,7 +100,7 @@ def _reach(ends: Int[np.ndarray, "segment 2"]) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _update_frames(
-    xyz: Array, covariance: Array, ends: Array, usual_m: Array, spread: float, width: int, start: int, stop: int
+    xyz: Array, covariance: Array, ends: Array, usual_m: Array, spread_m: Array, width: int, start: int, stop: int
 ) -> None:
     """Correct the frames from ``start`` to ``stop`` in place; ``width`` is the band's of the lengths' covariance."""
     segments = len(ends)
@@ -100,7 +113,7 @@ def _update_frames(
         C[~known] = 0.0
         doubt[:] = 1.0
         for turn in range(ROUNDS):
-            _linearise(x, x0, C, known, ends, usual_m, spread, along, missing, band)
+            _linearise(x, x0, C, known, ends, usual_m, spread_m, along, missing, band)
             if turn == 0:
                 for s in range(segments):
                     excess = missing[s] ** 2 / (band[s, 0] * DOUBTFUL_SD**2)
@@ -120,7 +133,7 @@ def _update_frames(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _linearise(  # noqa: PLR0913 - scratch arrays are arguments of compiled code
-    x: Array, x0: Array, C: Array, known: Array, ends: Array, usual_m: Array, spread: float,
+    x: Array, x0: Array, C: Array, known: Array, ends: Array, usual_m: Array, spread_m: Array,
     along: Array, missing: Array, band: Array,
 ) -> None:  # fmt: skip
     """Fill each segment's direction, what its length lacks at ``x0`` to first order, and the lengths' covariance.
@@ -137,7 +150,7 @@ def _linearise(  # noqa: PLR0913 - scratch arrays are arguments of compiled code
             if seen:
                 missing[s] -= along[s, i] * ((x0[a, i] - x[a, i]) - (x0[b, i] - x[b, i]))
         for d in range(min(s + 1, band.shape[1])):
-            band[s, d] = (spread * usual_m[s]) ** 2 if d == 0 else 0.0
+            band[s, d] = spread_m[s] ** 2 if d == 0 else 0.0
             for end in range(2):
                 for its in range(2):
                     if ends[s, end] == ends[s - d, its]:
