@@ -18,6 +18,7 @@ import gonio.http.uploads
 from gonio.client import Client
 from gonio.errors import InputError, ResourceError
 from gonio.http.uploads import body_of
+from gonio.jobs.liveness import try_hold_folder
 from gonio.jobs.partial import PartialUploads, Upload
 from gonio.jobs.spool import Spool
 
@@ -155,7 +156,7 @@ def test_two_senders_of_one_upload_one_is_refused_at_once_and_nobody_else_waits(
     url = begin(lab, session, content, "a4.mp4")
     with half_a_piece(lab, url, content, 2_000_000):
         deadline_s = time.monotonic() + 30
-        while lab.http.head(url, headers=TUS).headers.get("upload-offset", "0") == "0":  # 423 until the first write
+        while lab.http.head(url, headers=TUS).headers["upload-offset"] == "0":
             assert time.monotonic() < deadline_s
         assert refusal(patch(lab, url, 0, content)) == (423, "upload-locked")
         assert lab.http.delete(url, headers=TUS).status_code == 423
@@ -168,6 +169,15 @@ def test_two_senders_of_one_upload_one_is_refused_at_once_and_nobody_else_waits(
     while (ended := lab.http.delete(url, headers=TUS)).status_code == 423:  # the cut request still lets go of it
         assert time.monotonic() < deadline_s
     assert ended.status_code == 204
+
+
+def test_to_ask_where_an_upload_stands_is_not_to_hold_it(lab, session):
+    """Or who asks at the same moment could have its first piece refused."""
+    url = begin(lab, session, b"x" * 100, "a5.mp4")
+    with try_hold_folder(lab.settings.data_dir / "uploads" / url.rpartition("/")[2]) as free:
+        assert free
+        assert lab.http.head(url, headers=TUS).headers["upload-offset"] == "0"
+        assert refusal(patch(lab, url, 0, b"x")) == (423, "upload-locked")
 
 
 def test_uploads_end_with_their_session_and_expire(lab, tmp_path):

@@ -109,10 +109,12 @@ class PartialUploads:
 
     def offset(self, upload: Upload) -> int:
         """Tell how many bytes are safely there."""
-        if upload.file_id:
-            return upload.length
-        path = self._content(upload)
-        return path.stat().st_size if path.exists() else 0
+        return upload.length if upload.file_id else self._size(upload) or 0
+
+    def is_receiving(self, upload: Upload) -> bool:
+        """Tell whether bytes are still to come: not to a whole file, nor to one that was taken over to be accepted."""
+        size = self._size(upload)
+        return not upload.file_id and size is not None and size < upload.length
 
     def expires_at_s(self, upload: Upload) -> float:
         """Tell when an upload is removed if nothing is added to it, in seconds since 1970."""
@@ -188,6 +190,12 @@ class PartialUploads:
 
     def _content(self, upload: Upload) -> Path:
         return self._folder / upload.id / "content" / upload.name
+
+    def _size(self, upload: Upload) -> int | None:
+        try:
+            return self._content(upload).stat().st_size
+        except FileNotFoundError:
+            return None
 
     def _touched_s(self, folder: Path) -> float:
         paths = [folder, *folder.glob("content/*")]

@@ -99,7 +99,7 @@ def create_upload(
 def read_upload(upload_id: Id, response: Response, service: TheService, caller: Writer) -> None:
     """Tell how many bytes of an upload are safely there. One that is whole is accepted now, if it wasn't before."""
     upload = service.uploads.get(caller.lab, upload_id)
-    if not 0 < service.uploads.offset(upload) < upload.length:  # whole, or nothing: its server may have been killed
+    if not service.uploads.is_receiving(upload):  # its server may have been killed in the middle of accepting it
         with service.uploads.locked(upload):
             upload = service.finish_upload(caller.lab, upload)
     response.headers["Cache-Control"] = "no-store"
