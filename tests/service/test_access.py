@@ -262,16 +262,7 @@ def test_the_command_line_makes_lists_rotates_and_revokes(tmp_path, monkeypatch,
         assert ended.value.code == (1 if err else 0)
         return out.strip(), err
 
-    command = [
-        str(Path(sys.executable).with_name("gonio")),
-        "keys",
-        "create",
-        "north",
-        "--name",
-        "door",
-        "--scope",
-        "read",
-    ]
+    command = [str(Path(sys.executable).with_name("gonio")), *"keys create north --name door --scope read".split()]
     first = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     assert re.fullmatch(r"gonio_[\w-]{43}", first)
     listed, _ = gonio("list", "north")
