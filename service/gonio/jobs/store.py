@@ -124,10 +124,11 @@ class Store:
         return content
 
     @contextmanager
-    def local_path(self, key: str) -> Generator[Path]:
+    def local_path(self, key: str, folder: Path | None = None) -> Generator[Path]:
         """Give a local file with an object's content, for what can only read files; it must not be changed.
 
-        In a folder it is the object itself; from a bucket it is a copy that lives as long as the block.
+        In a folder it is the object itself; from a bucket it is a copy that lives as long as the block, in ``folder``, where
+        one is given: a process that is killed leaves it there.
 
         Raises:
             FileNotFoundError: There is no such object.
@@ -137,7 +138,7 @@ class Store:
             path.stat()
             yield path
             return
-        with tempfile.NamedTemporaryFile(prefix="gonio-") as file:
+        with tempfile.NamedTemporaryFile(prefix="gonio-", dir=folder) as file:
             with _telling():
                 for chunk in obstore.get(self._objects, key).stream(CHUNK):
                     file.write(chunk)

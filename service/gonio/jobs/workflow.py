@@ -119,7 +119,7 @@ class Analysis:
             captured: list[CaptureFile] = []
             for file in files:
                 link = folder / "capture" / file["name"]
-                link.symlink_to(stack.enter_context(self._workshop.store.local_path(file["key"])))
+                link.symlink_to(stack.enter_context(self._workshop.store.local_path(file["key"], folder)))
                 role = cast("Role", file["role"])
                 captured.append(CaptureFile(path=link, name=file["name"], role=role, camera=file["camera"]))
             yield folder, captured
