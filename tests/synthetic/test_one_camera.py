@@ -6,18 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gonio.demo.virtual import compare_angles
+from gonio.demo.virtual import compare_angles, true_motion
 from gonio.errors import CaptureError, InputError
 from gonio.formats.markerset import read_markerset
 from gonio.formats.openpose import write_poses
 from gonio.formats.osim import read_osim
 from gonio.formats.toml_calibration import write_toml_calibration
 from gonio.kernel.geometry.transforms import transform
+from gonio.kernel.kinematics.monocular import REAL_SCATTER
 from gonio.kernel.virtual_lab import film, grow, walk
 from gonio.kernel.virtual_lab.effects import Detector, Effects
 from gonio.pipeline.folder import find_capture_files
-from gonio.pipeline.monocular import analyse_one_camera, find_subject, read_camera
-from gonio.pipeline.params import Parameters
+from gonio.pipeline.monocular import analyse_one_camera, find_subject, fit_view, read_camera, scale_to_stature
+from gonio.pipeline.params import KeypointParameters, Parameters, Subject
 from gonio.pipeline.report import load_report
 from gonio.pipeline.report_schema import GaitReport
 from gonio.pipeline.run import LocalRunner
@@ -85,6 +86,41 @@ def test_from_the_side_the_knee_is_measured(tmp_path: Path) -> None:
     view_deg = next(found.value for found in report.findings if found.code == "one-camera")
     assert view_deg is not None
     assert view_deg < 20.0
+
+
+def test_a_floor_that_the_feet_are_not_on_is_said_and_not_used(tmp_path: Path) -> None:
+    trial = film_from(0.0)
+    camera = trial.rig.cameras[0]
+    raised = replace(camera, T_lab_cam=transform(np.eye(3), np.array([0.0, 0.35, 0.0])) @ camera.T_lab_cam)
+    report = report_of(replace(trial, rig=replace(trial.rig, cameras=(raised,))), tmp_path)
+    gap = next(found for found in report.findings if found.code == "feet-off-floor")
+    assert gap.value == pytest.approx(0.35, abs=0.1)
+    assert "above it" in gap.message
+    # The body is where its size puts it: 0.35 m higher than in the lab that was filmed.
+    knee = next(error for error in compare_angles(trial, report) if error.joint == "knee")
+    assert np.hypot(knee.rms, knee.offset) < 6.0
+
+
+def test_standing_feet_tell_how_far_away_a_body_of_another_size_is() -> None:
+    trial = film_from(45.0)
+    camera = trial.rig.cameras[0]
+    subject = Subject(sex="male", stature_m=1.06 * STATURE_M, mass_kg=70.0)
+    asked = Parameters(subject=subject, keypoints=KeypointParameters(rate="exact"))
+    found = fit_view(scale_to_stature(trial.points, subject).value, trial.points, trial.rig, asked).value
+    names = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+    place_m = np.stack([found.motion.motion.of(name) for name in names], axis=1)
+    truth_m = np.stack([true_motion(trial).of(name) for name in names], axis=1)
+    seen_at = found.rig.cameras[0]
+    off_m = (place_m - seen_at.centre_lab_m) @ seen_at.T_lab_cam[:3, 2]
+    off_m -= (truth_m - camera.centre_lab_m) @ camera.T_lab_cam[:3, 2]
+    # By its size alone, which is 6 % too much, it would be 0.23 m too far away.
+    assert abs(float(np.nanmean(off_m))) < 0.12
+
+
+def test_what_is_believed_of_keypoints_is_what_the_virtual_laboratory_measured() -> None:
+    measured = Detector()
+    assert REAL_SCATTER.sd_m == pytest.approx(measured.sigma_m * measured.confidence, rel=0.02)
+    assert (REAL_SCATTER.white, REAL_SCATTER.lasts_s) == (measured.white, measured.correlation_s)
 
 
 def test_from_the_front_the_report_says_that_the_knee_is_not_measured(tmp_path: Path) -> None:

@@ -19,6 +19,14 @@ MONOCULAR_KINDS: dict[str, Kind] = {
         "Don't use this angle. Film from the side, or with several cameras.",
         "deg",
     ),
+    "feet-off-floor": Kind(
+        "warning",
+        "kinematics",
+        "The floor could not be used: {where}. The subject's distance, steps and speed rest on the stature alone.",
+        "Check that the calibration's floor (y = 0) is what the subject stands on, and the subject's stature. On a beam or a "
+        "treadmill, make its surface the floor.",
+        "m",
+    ),
     "stature-unknown": Kind(
         "warning",
         "scaling",

@@ -17,11 +17,14 @@ from gonio.kernel.calibration.person import unrefined
 from gonio.kernel.geometry.cameras import project, undistort_rig
 from gonio.kernel.geometry.transforms import rotation_about_y, transform
 from gonio.kernel.kinematics.clinical import clinical_sd_deg, find_clinical_angles
+from gonio.kernel.kinematics.floor import Standing, place_covariance_m2
 from gonio.kernel.kinematics.monocular import (
+    REAL_SCATTER,
+    OneCameraFit,
     Placement,
+    Scatter,
     believe_less,
     fit_one_camera,
-    place_covariance_m2,
     start_one_camera,
     view_angle_rad,
     widen,
@@ -274,7 +277,12 @@ def _stature_m(model: BodyModel) -> float:
 
 
 def fit_view(
-    body: SubjectBody, points: ImagePoints, rig: Rig, parameters: Parameters, progress: Progress | None = None
+    body: SubjectBody,
+    points: ImagePoints,
+    rig: Rig,
+    parameters: Parameters,
+    progress: Progress | None = None,
+    scatter: Scatter = REAL_SCATTER,
 ) -> Outcome[OneView]:
     """Fit the body to the camera's keypoints over the whole trial, and judge what this view can tell.
 
@@ -301,11 +309,12 @@ def fit_view(
     start, placement = start_one_camera(telling, tasks, camera, uv_px, confidence, times_s)
     distance_m = np.array([np.linalg.norm(np.median(placement.hips_lab_m, axis=0) - camera.centre_lab_m)])
     turned = replace(rig, cameras=(camera,))
-    priors = believe_less(telling, make_priors(telling, body.markerset, turned, looks.timebase.rate_hz, distance_m))
-    fit = fit_one_camera(telling, camera, uv_px, confidence, start, priors, progress)
+    priors = make_priors(telling, body.markerset, turned, looks.timebase.rate_hz, distance_m)
+    priors = believe_less(telling, priors, looks.timebase.rate_hz, scatter)
+    found = fit_one_camera(telling, camera, uv_px, confidence, start, priors, progress)
     view_rad = view_angle_rad(camera, placement)
-    seen = describe_fit(body, fit, points, rig, turned, view_rad)
-    return Outcome(seen, judge_view(seen, fit, priors))
+    seen = describe_fit(body, found.fit, points, rig, turned, view_rad)
+    return Outcome(seen, judge_view(seen, found, priors))
 
 
 def turn_to(camera: Camera, placement: Placement) -> Camera:
@@ -365,11 +374,13 @@ def describe_fit(
     return OneView(rig=rig, motion=found, raw=raw, view_rad=view_rad)
 
 
-def judge_view(seen: OneView, fit: PixelFit, priors: TrialPriors) -> tuple[Finding, ...]:
+def judge_view(seen: OneView, found: OneCameraFit, priors: TrialPriors) -> tuple[Finding, ...]:
     """Say which angles this view can't measure, by their predicted error, and whether the fit can be believed at all."""
     motion = seen.motion
     findings = [*judge_motion(motion.motion), finding("one-camera", value=float(np.degrees(seen.view_rad)))]
-    reason = distrust(fit, priors)
+    if not found.standing.is_on_floor:
+        findings.append(_off_floor(found.standing))
+    reason = distrust(found.fit, priors)
     if reason:
         findings.append(finding("monocular-fit-doubtful", where=reason))
     for angle in find_clinical_angles(motion.model):
@@ -381,3 +392,15 @@ def judge_view(seen: OneView, fit: PixelFit, priors: TrialPriors) -> tuple[Findi
             value, joint = float(np.median(known)), joint_of(angle)
             findings.append(finding("view-unreliable", where=where, value=value, span_s=span_s, joint=joint))
     return tuple(findings)
+
+
+def _off_floor(standing: Standing) -> Finding:
+    """Say why the floor was not used."""
+    if np.isnan(standing.gap_m):
+        return finding("feet-off-floor", where="no foot seems to stand still")
+    side = "above" if standing.gap_m > 0 else "below"
+    where = (
+        f"standing feet seem to be {100 * abs(standing.gap_m):.0f} cm {side} it, and that is known to "
+        f"± {100 * 1.96 * standing.gap_sd_m:.0f} cm"
+    )
+    return finding("feet-off-floor", where=where, value=standing.gap_m)

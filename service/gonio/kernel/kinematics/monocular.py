@@ -18,8 +18,9 @@ from jaxtyping import Float, Int
 
 from gonio.errors import CaptureError
 from gonio.kernel.body.forward import couple, marker_positions
+from gonio.kernel.kinematics.floor import Standing, find_standing
 from gonio.kernel.kinematics.inverse import solve_motion
-from gonio.kernel.kinematics.pixel_priors import TrialPriors
+from gonio.kernel.kinematics.pixel_priors import BIAS_M, TRUNK_OFFSET_M, TrialPriors
 from gonio.kernel.kinematics.pixels import MIN_CONFIDENCE, PixelFit, fit_pixels
 from gonio.records import NOT_CONVERGED, SOLVED, BodyModel, Camera, Motion, Rig, Tasks
 
@@ -35,6 +36,10 @@ POSTURE_DEG = {"pelvis_tilt": 6.0, "lumbar_extension": 8.0}
 
 LENGTH_SCALE = 0.05
 """Every length is known from the stature only, the trunk's too: standard deviation of a segment's share in it."""
+
+
+WIDTH_OFFSET_M = 0.01
+"""Nor was the width of hips and shoulders measured: standard deviation of their keypoints' places."""
 
 
 HIDDEN_FROM_RAD = np.deg2rad(65.0)
@@ -55,6 +60,34 @@ SETTLED_SD = 0.2
 """Two descents that end closer than this found the same body: it adds 2 % to a standard deviation."""
 
 
+class Scatter(NamedTuple):
+    """How far a detector's keypoints are off, new in each frame or for a while; what stays for good is the priors' affair.
+
+    Standard deviation at confidence 1, at the subject; the share of its variance that is new in each frame; and how long the
+    rest takes to die away. By default what was measured on a real recording (docs/validation/virtual-lab.md): one camera
+    can't measure it, since to its fit an error that lasts looks like movement.
+    """
+
+    sd_m: float = 0.0059
+    white: float = 0.24
+    lasts_s: float = 0.105
+
+    def lasting_sd_m(self, rate_hz: float) -> float:
+        """Give the error of a frame that would tell as little of what is slow if it were new in every frame."""
+        stays = np.exp(-1.0 / (rate_hz * self.lasts_s))
+        return self.sd_m * float(np.sqrt(self.white + (1.0 - self.white) * (1.0 + stays) / (1.0 - stays)))
+
+
+REAL_SCATTER = Scatter()
+
+
+class OneCameraFit(NamedTuple):
+    """A fit to one camera's keypoints, and what it said of the floor before that was believed."""
+
+    fit: PixelFit
+    standing: Standing
+
+
 class Placement(NamedTuple):
     """Where the body is, roughly: the middle of the hips, and where the body faces (horizontal, unit)."""
 
@@ -70,8 +103,8 @@ def fit_one_camera(
     start: Motion,
     priors: TrialPriors,
     on_progress: Callable[[float], None] | None = None,
-) -> PixelFit:
-    """Fit a body to one camera's keypoints.
+) -> OneCameraFit:
+    """Fit a body to one camera's keypoints: first without the floor, then, if its feet stand there, with it.
 
     Args:
         model: The body in the subject's stature; its markers are the keypoints.
@@ -83,22 +116,62 @@ def fit_one_camera(
         on_progress: Is told the done share, 0 to 1.
 
     Returns:
-        The fit; everything in it that goes by cameras has this one camera.
+        The fit, in which everything that goes by cameras has this one camera, and whether its feet were on the floor.
     """
     rig = Rig(cameras=(camera,), source="one camera")
-    fit = fit_pixels(model, rig, uv_px[None], confidence[None], start, priors, on_progress)
-    # Depth and size together are a long shallow valley, in which the descent creeps: it has come to rest where another one,
-    # from where the last stopped, hardly moves the body any more.
+    report = _Halves(on_progress)
+
+    def descend(begin: Motion, resting_m: Float[np.ndarray, "frame marker"] | None) -> PixelFit:
+        def once(first: Motion) -> PixelFit:
+            return fit_pixels(model, rig, uv_px[None], confidence[None], first, priors, report, resting_m)
+
+        return _come_to_rest(once, begin)
+
+    free = descend(start, None)
+    standing = find_standing(free.model, free.motion, *feet_of(model))
+    if not standing.is_on_floor:
+        return OneCameraFit(free, standing)
+    report.half = 1
+    fit = descend(_go_on(free.motion, start), standing.resting_m)
+    # What goes by cameras has the floor as its last.
+    fit = replace(fit, bias_px=fit.bias_px[:1], sigma_px=fit.sigma_px[:1], swapped=fit.swapped[:1])
+    return OneCameraFit(fit, standing)
+
+
+class _Halves:
+    """Tells the share of two equal halves as one that never falls."""
+
+    def __init__(self, report: Callable[[float], None] | None) -> None:
+        self._report, self._told, self.half = report, 0.0, 0
+
+    def __call__(self, share: float) -> None:
+        """Take the share of the present half."""
+        self._told = max(self._told, (self.half + share) / 2)
+        if self._report is not None:
+            self._report(self._told)
+
+
+def _come_to_rest(descend: Callable[[Motion], PixelFit], start: Motion) -> PixelFit:
+    """Descend until another descent hardly moves the body.
+
+    Depth and size together are a long shallow valley, in which the descent creeps: it has come to rest where another one,
+    from where the last stopped, hardly moves the body any more.
+    """
+    fit = descend(start)
     for _ in range(MOST_DESCENTS - 1):
         if fit.converged:
             break
-        last, known = fit.motion, np.isfinite(fit.motion.values)
-        again = replace(start, values=np.where(known, last.values, start.values))
-        fit = fit_pixels(model, rig, uv_px[None], confidence[None], again, priors, on_progress)
+        last = fit.motion
+        fit = descend(_go_on(last, start))
         if not fit.converged and _moved_sd(last, fit.motion) < SETTLED_SD:
             status = np.where(fit.motion.status == NOT_CONVERGED, SOLVED, fit.motion.status).astype(np.uint8)
             fit = replace(fit, converged=True, motion=replace(fit.motion, status=status))
     return fit
+
+
+def _go_on(last: Motion, start: Motion) -> Motion:
+    """Give a start where the last descent ended."""
+    return replace(start, values=np.where(np.isfinite(last.values), last.values, start.values))
 
 
 def _moved_sd(first: Motion, second: Motion) -> float:
@@ -171,7 +244,7 @@ def place_body(
     Raises:
         CaptureError: ``monocular-no-start``.
     """
-    feet, rest_m = resting_heights_m(model)
+    feet, rest_m = feet_of(model)
     with np.errstate(divide="ignore", invalid="ignore"):
         to_floor_m = (rest_m - camera.centre_lab_m[1]) / rays[:, feet, 1]
     to_floor_m[~(to_floor_m > 0)] = np.nan
@@ -196,7 +269,7 @@ def place_body(
     return Placement(hips_lab_m, _forward(model, feet, on_floor, weight, hips_lab_m))
 
 
-def resting_heights_m(model: BodyModel) -> tuple[Int[np.ndarray, " foot_marker"], Float[np.ndarray, " foot_marker"]]:
+def feet_of(model: BodyModel) -> tuple[Int[np.ndarray, " foot_marker"], Float[np.ndarray, " foot_marker"]]:
     """Give the foot's markers (heels and toes; ankles where there are none), and how high they are when the foot stands."""
     names = model.markers.names
     feet = [i for i, name in enumerate(names) if "heel" in name or "toe" in name or "foot_index" in name]
@@ -225,23 +298,6 @@ def widen(motion: Motion, view_rad: float) -> Motion:
         sd_deg = next((sd for stem, sd in HIDDEN_SD_DEG.items() if name.startswith(stem)), 0.0)
         covariance[:, index, index] += np.deg2rad(sd_deg) ** 2
     return replace(motion, covariance=covariance)
-
-
-def place_covariance_m2(model: BodyModel, motion: Motion) -> Float[np.ndarray, "frame marker 3 3"]:
-    """Give the covariance of the markers' places that the coordinates' covariance makes; NaN where that is not known."""
-    assert motion.covariance is not None  # a fit to pixels always has one
-    known = np.asarray(np.isfinite(motion.values).all(axis=1))
-    q = np.where(known[:, None], motion.values, model.coordinates.default)
-    free = np.flatnonzero(model.coordinates.coupled_to < 0)
-    step = 1e-5  # rad or m: the places are smooth, and 1e-5 of them is far above rounding
-    here = marker_positions(model, couple(model, q))
-    by = np.empty((*here.shape, len(free)))
-    for column, coordinate in enumerate(free):
-        moved = q.copy()
-        moved[:, coordinate] += step
-        by[..., column] = (marker_positions(model, couple(model, moved)) - here) / step
-    own = motion.covariance[:, free[:, None], free]
-    return np.where(known[:, None, None, None], np.einsum("fkia,fab,fkjb->fkij", by, own, by, optimize=True), np.nan)
 
 
 def _forward(
@@ -293,14 +349,22 @@ def _hips(model: BodyModel) -> list[int]:
     return [model.markers.index("right_hip"), model.markers.index("left_hip")]
 
 
-def believe_less(model: BodyModel, priors: TrialPriors) -> TrialPriors:
-    """Widen what is believed of lengths, and hold what one camera hardly tells near upright (:data:`POSTURE_DEG`).
+def believe_less(model: BodyModel, priors: TrialPriors, rate_hz: float, scatter: Scatter = REAL_SCATTER) -> TrialPriors:
+    """Believe less of lengths and widths, and of the keypoints what one camera can't see of their errors.
 
-    ``priors`` are those of :func:`gonio.kernel.kinematics.pixel_priors.make_priors` for a rig of this camera. Whoever judges
-    the fit must judge it by what was believed.
+    What one camera hardly tells is held near upright (:data:`POSTURE_DEG`). ``priors`` are those of
+    :func:`gonio.kernel.kinematics.pixel_priors.make_priors` for a rig of this camera, ``rate_hz`` the keypoints'. Whoever
+    judges the fit must judge it by what was believed.
     """
     posture_sd = priors.posture_sd.copy()
     for name, sd_deg in POSTURE_DEG.items():
         if name in model.coordinates.names:
             posture_sd[model.coordinates.names.index(name)] = np.deg2rad(sd_deg)
-    return replace(priors, posture_sd=posture_sd, group_sd=np.maximum(priors.group_sd, LENGTH_SCALE))
+    px_per_m = float(priors.bias_sd_px.mean()) / BIAS_M
+    return replace(
+        priors,
+        posture_sd=posture_sd,
+        group_sd=np.maximum(priors.group_sd, LENGTH_SCALE),
+        offset_sd_m=np.where(priors.offset_sd_m <= TRUNK_OFFSET_M, WIDTH_OFFSET_M, priors.offset_sd_m),
+        noise_px=scatter.lasting_sd_m(rate_hz) * px_per_m,
+    )

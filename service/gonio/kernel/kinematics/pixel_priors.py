@@ -97,6 +97,7 @@ class TrialPriors:
     offset_sd_m: Float[np.ndarray, " marker"]
     mirrored_markers: tuple[tuple[int, int], ...]
     bias_sd_px: Float[np.ndarray, " camera"]
+    noise_px: float = 0.0  # an observation is worth no more than one with this error, new in every frame
 
 
 def make_priors(

@@ -48,6 +48,7 @@ class Trial:
     repeat: float = (
         1.0  # how many observations say the same: beliefs that hold for the whole trial weigh that much more
     )
+    pictures: int | None = None  # how many of the cameras take pictures; all, unless the last is the floor
 
     @property
     def shared(self) -> int:

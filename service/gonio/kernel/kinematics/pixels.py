@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from gonio.kernel.body.forward import couple
 from gonio.kernel.geometry.cameras import projection_matrices
+from gonio.kernel.kinematics.floor import with_floor
 from gonio.kernel.kinematics.pixel_descent import Found, minimise
 from gonio.kernel.kinematics.pixel_priors import TrialPriors
 from gonio.kernel.kinematics.pixel_system import (
@@ -106,6 +107,7 @@ def fit_pixels(
     start: Motion,
     priors: TrialPriors,
     on_progress: Callable[[float], None] | None = None,
+    resting_m: Float[np.ndarray, "frame marker"] | None = None,
 ) -> PixelFit:
     """Fit a body model to a trial's keypoints.
 
@@ -117,6 +119,8 @@ def fit_pixels(
         start: The motion to start from, of the same model: its root should face the right way; NaN is filled.
         priors: What is believed beforehand.
         on_progress: Is told the done share, 0 to 1.
+        resting_m: The height of each marker that rests on the floor, NaN elsewhere
+            (:mod:`gonio.kernel.kinematics.floor`). What is reported by cameras has the floor as its last one then.
     """
     usable = np.isfinite(uv_px).all(axis=-1) & (confidence >= MIN_CONFIDENCE)
     trial = Trial(
@@ -128,6 +132,8 @@ def fit_pixels(
         priors=priors,
         free=np.flatnonzero((model.coordinates.coupled_to < 0) & ~model.coordinates.locked & ~priors.held),
     )
+    if resting_m is not None:
+        trial = with_floor(trial, resting_m)
     state = _start(trial, start)
     chosen = _sample(uv_px.shape[1])
     progress = _Stages(on_progress, 4 + len(_windows(uv_px.shape[1])))
@@ -203,7 +209,7 @@ def _solve_sample(trial: Trial, start: State, progress: _Stages) -> _Solved:
     state, _, first, _ = _descend(trial, start, WIDE_LOSS, ROUGH_TOLERANCE, progress, shared=False)
     state, sigma_px, second, _ = _descend(trial, state, LOSS, ROUGH_TOLERANCE, progress, shared=False)
     trial, swapped = _unswap_legs(trial, state, sigma_px)
-    trial = replace(trial, repeat=_repeat(trial, state, sigma_px))
+    trial = replace(trial, repeat=max(_repeat(trial, state, sigma_px), _least_repeat(trial, sigma_px)))
     rough = replace(trial, priors=replace(trial.priors, jerk_sd=GEOMETRY_JERK * trial.priors.jerk_sd))
     state, _, third, settled = _descend(rough, state, LOSS, COST_TOLERANCE, progress, shared=True)
     state, sigma_px, fourth, converged = _descend(trial, state, LOSS, COST_TOLERANCE, progress, shared=False)
@@ -238,6 +244,11 @@ def _repeat(trial: Trial, state: State, sigma_px: Float[np.ndarray, " camera"]) 
     whitened -= (weight * whitened).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     inlier = ((whitened**2).sum(axis=-1) < LOSS**2) & (trial.confidence > 0)
     return repeats(whitened, inlier)
+
+
+def _least_repeat(trial: Trial, sigma_px: Float[np.ndarray, " camera"]) -> float:
+    """Give by how many frames the residuals have to repeat each other to be worth what is believed of the detector."""
+    return float((trial.priors.noise_px / sigma_px[: trial.pictures]).max()) ** 2
 
 
 def _part(trial: Trial, frames: Int[np.ndarray, " chosen"]) -> Trial:
@@ -348,7 +359,8 @@ def _believe(solved: _Solved, equations: Equations) -> tuple[_Belief, BorderedFa
     weight = 1.0 / (1.0 + (whitened**2).sum(axis=-1) / LOSS**2)
     seen = trial.confidence > 0
     repeat = repeats(whitened, (weight > 0.5) & seen)
-    data_share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * repeat)
+    worth = max(repeat, _least_repeat(trial, solved.sigma_px))
+    data_share = 1.0 / (loss_efficiency(whitened[seen], weight[seen]) * worth)
     covariance, factor = shared_covariance(trial, equations, data_share)
     return _Belief(repeat, data_share, covariance), factor
 
@@ -369,11 +381,12 @@ def _describe(
     error = equations.data.error_px
     squared = (error**2).sum(axis=-1) * (trial.confidence / solved.sigma_px[:, None, None]) ** 2
     seen = trial.confidence[:, keep] > 0
+    watched = seen[: trial.pictures].sum(axis=2) >= FEWEST_KEYPOINTS
     found = frame_covariance(trial, equations, belief.data_share, belief.shared_covariance, factor)
     covariance[:, trial.free[:, None], trial.free] = found[keep]
     return _Part(
         q=solved.state.q[keep],
-        seen=(seen.sum(axis=2) >= FEWEST_KEYPOINTS).sum(axis=0) >= min(2, len(seen)),
+        seen=watched.sum(axis=0) >= min(2, len(watched)),
         swapped=solved.swapped[:, keep],
         kept=int(((squared[:, keep] < LOSS**2) & seen).sum()),
         observations=int(seen.sum()),
