@@ -117,6 +117,21 @@ def test_standing_feet_tell_how_far_away_a_body_of_another_size_is() -> None:
     assert abs(float(np.nanmean(off_m))) < 0.12
 
 
+def test_a_limb_that_is_hidden_for_most_of_the_trial_is_held_by_something() -> None:
+    trial = film_from(0.0)
+    hidden = [name.startswith("left") and name.endswith(("elbow", "wrist")) for name in trial.points.keypoint_names]
+    confidence = trial.points.confidence.copy()
+    confidence[0, 8:, hidden] = 0.0
+    points = replace(trial.points, confidence=confidence)
+    subject = Subject(sex="male", stature_m=STATURE_M)
+    asked = Parameters(subject=subject, keypoints=KeypointParameters(rate="exact"))
+    fit = fit_view(scale_to_stature(points, subject).value, points, trial.rig, asked).value.motion.fit
+    assert fit is not None
+    assert fit.converged
+    # Some 70. With nothing to damp the arm, each of the four descents of a fit took all of its hundred.
+    assert fit.iterations < 200
+
+
 def test_what_is_believed_of_keypoints_is_what_the_virtual_laboratory_measured() -> None:
     measured = Detector()
     assert REAL_SCATTER.sd_m == pytest.approx(measured.sigma_m * measured.confidence, rel=0.02)

@@ -313,7 +313,10 @@ def fit_view(
     priors = believe_less(telling, priors, looks.timebase.rate_hz, scatter)
     found = fit_one_camera(telling, camera, uv_px, confidence, start, priors, progress)
     view_rad = view_angle_rad(camera, placement)
-    seen = describe_fit(body, found.fit, points, rig, turned, view_rad)
+    # What the network was too unsure of to be used must not count as missed by the body either.
+    used = points.confidence >= parameters.reconstruction.min_confidence
+    counted = replace(points, confidence=np.where(used, points.confidence, 0.0))
+    seen = describe_fit(body, found.fit, counted, rig, turned, view_rad)
     return Outcome(seen, judge_view(seen, found, priors))
 
 

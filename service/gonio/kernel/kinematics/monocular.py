@@ -20,7 +20,7 @@ from gonio.errors import CaptureError
 from gonio.kernel.body.forward import couple, marker_positions
 from gonio.kernel.kinematics.floor import Standing, find_standing
 from gonio.kernel.kinematics.inverse import solve_motion
-from gonio.kernel.kinematics.pixel_priors import BIAS_M, TRUNK_OFFSET_M, TrialPriors
+from gonio.kernel.kinematics.pixel_priors import BIAS_M, MOMENT_S, TRUNK_OFFSET_M, TrialPriors
 from gonio.kernel.kinematics.pixels import MIN_CONFIDENCE, PixelFit, fit_pixels
 from gonio.records import NOT_CONVERGED, SOLVED, BodyModel, Camera, Motion, Rig, Tasks
 
@@ -40,6 +40,11 @@ LENGTH_SCALE = 0.05
 
 WIDTH_OFFSET_M = 0.01
 """Nor was the width of hips and shoulders measured: standard deviation of their keypoints' places."""
+
+
+HIDDEN_LIMB_DEG = 60.0
+"""How far a joint is from its default at any moment, one standard deviation: a limb that the body hides for a while has nothing
+else to hold it, and the descent would turn it round and round."""
 
 
 HIDDEN_FROM_RAD = np.deg2rad(65.0)
@@ -121,8 +126,8 @@ def fit_one_camera(
     rig = Rig(cameras=(camera,), source="one camera")
     report = _Halves(on_progress)
 
-    def descend(begin: Motion, resting_m: Float[np.ndarray, "frame marker"] | None) -> PixelFit:
-        def once(first: Motion) -> PixelFit:
+    def descend(begin: Motion | PixelFit, resting_m: Float[np.ndarray, "frame marker"] | None) -> PixelFit:
+        def once(first: Motion | PixelFit) -> PixelFit:
             return fit_pixels(model, rig, uv_px[None], confidence[None], first, priors, report, resting_m)
 
         return _come_to_rest(once, begin)
@@ -132,7 +137,7 @@ def fit_one_camera(
     if not standing.is_on_floor:
         return OneCameraFit(free, standing)
     report.half = 1
-    fit = descend(_go_on(free.motion, start), standing.resting_m)
+    fit = descend(free, standing.resting_m)
     # What goes by cameras has the floor as its last.
     fit = replace(fit, bias_px=fit.bias_px[:1], sigma_px=fit.sigma_px[:1], swapped=fit.swapped[:1])
     return OneCameraFit(fit, standing)
@@ -151,7 +156,7 @@ class _Halves:
             self._report(self._told)
 
 
-def _come_to_rest(descend: Callable[[Motion], PixelFit], start: Motion) -> PixelFit:
+def _come_to_rest(descend: Callable[[Motion | PixelFit], PixelFit], start: Motion | PixelFit) -> PixelFit:
     """Descend until another descent hardly moves the body.
 
     Depth and size together are a long shallow valley, in which the descent creeps: it has come to rest where another one,
@@ -161,17 +166,11 @@ def _come_to_rest(descend: Callable[[Motion], PixelFit], start: Motion) -> Pixel
     for _ in range(MOST_DESCENTS - 1):
         if fit.converged:
             break
-        last = fit.motion
-        fit = descend(_go_on(last, start))
-        if not fit.converged and _moved_sd(last, fit.motion) < SETTLED_SD:
+        last, fit = fit, descend(fit)
+        if not fit.converged and _moved_sd(last.motion, fit.motion) < SETTLED_SD:
             status = np.where(fit.motion.status == NOT_CONVERGED, SOLVED, fit.motion.status).astype(np.uint8)
             fit = replace(fit, converged=True, motion=replace(fit.motion, status=status))
     return fit
-
-
-def _go_on(last: Motion, start: Motion) -> Motion:
-    """Give a start where the last descent ended."""
-    return replace(start, values=np.where(np.isfinite(last.values), last.values, start.values))
 
 
 def _moved_sd(first: Motion, second: Motion) -> float:
@@ -360,10 +359,13 @@ def believe_less(model: BodyModel, priors: TrialPriors, rate_hz: float, scatter:
     for name, sd_deg in POSTURE_DEG.items():
         if name in model.coordinates.names:
             posture_sd[model.coordinates.names.index(name)] = np.deg2rad(sd_deg)
+    joint = model.coordinates.rotational & ~np.array([name.startswith("pelvis") for name in model.coordinates.names])
+    hidden_sd = np.deg2rad(HIDDEN_LIMB_DEG) * np.sqrt(max(MOMENT_S * rate_hz, 1.0))
     px_per_m = float(priors.bias_sd_px.mean()) / BIAS_M
     return replace(
         priors,
         posture_sd=posture_sd,
+        moment_sd=np.where(joint, np.minimum(priors.moment_sd, hidden_sd), priors.moment_sd),
         group_sd=np.maximum(priors.group_sd, LENGTH_SCALE),
         offset_sd_m=np.where(priors.offset_sd_m <= TRUNK_OFFSET_M, WIDTH_OFFSET_M, priors.offset_sd_m),
         noise_px=scatter.lasting_sd_m(rate_hz) * px_per_m,

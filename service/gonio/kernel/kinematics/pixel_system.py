@@ -21,6 +21,9 @@ REACH = 3
 
 THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 
+UNSEEN = 1.0
+"""The information, 1/rad² or 1/m², that damping takes every coordinate to have; one that is seen has a thousand times that."""
+
 _BLOCK = 128  # frames that one thread takes at a time: each block has a corner of its own
 
 
@@ -409,7 +412,8 @@ def _factorise(
     """Assemble the band and factorise it.
 
     The damping is relative to the diagonal without the jerk prior's: that one is large in every frame but says nothing of
-    slow movements, and a damping that knew it would hold those back.
+    slow movements, and a damping that knew it would hold those back. What no pixel tells of in a frame is damped a little, too
+    (:data:`UNSEEN`): else no damping would keep it within its range.
     """
     frames, size = equations.prior_gradient.shape
     rows = np.zeros((_padded(frames), size, REACH * size + 1))
@@ -418,7 +422,7 @@ def _factorise(
     rows[:frames, :, 0] = (rows[:frames, :, 0] + equations.prior_hessian) * (1.0 + damping)
     smoothness = trial.priors.jerk_sd[trial.free] ** -2.0
     rows[:frames, :, ::size] += trial.jerk_band[:, None, :] * smoothness[:, None]
-    rows[:frames, :, 0] += 1e-9
+    rows[:frames, :, 0] += 1e-9 + damping * UNSEEN
     rows[frames:, :, 0] = 1.0  # frames that only fill the last block
     band = rows.reshape(-1, REACH * size + 1)
     if not shared:

@@ -104,7 +104,7 @@ def fit_pixels(
     rig: Rig,
     uv_px: Float[np.ndarray, "camera frame marker 2"],
     confidence: Float[np.ndarray, "camera frame marker"],
-    start: Motion,
+    start: "Motion | PixelFit",
     priors: TrialPriors,
     on_progress: Callable[[float], None] | None = None,
     resting_m: Float[np.ndarray, "frame marker"] | None = None,
@@ -116,7 +116,8 @@ def fit_pixels(
         rig: The cameras.
         uv_px: Undistorted keypoints in the order of the model's markers; NaN is missing.
         confidence: Theirs; below 0.3 a keypoint is not used.
-        start: The motion to start from, of the same model: its root should face the right way; NaN is filled.
+        start: The motion to start from, of the same model: its root should face the right way; NaN is filled. Or another fit
+            of that model, to go on from with its lengths, offsets and biases.
         priors: What is believed beforehand.
         on_progress: Is told the done share, 0 to 1.
         resting_m: The height of each marker that rests on the floor, NaN elsewhere
@@ -134,7 +135,8 @@ def fit_pixels(
     )
     if resting_m is not None:
         trial = with_floor(trial, resting_m)
-    state = _start(trial, start)
+    after, start = (start, start.motion) if isinstance(start, PixelFit) else (None, start)
+    state = _start(trial, start, after)
     chosen = _sample(uv_px.shape[1])
     progress = _Stages(on_progress, 4 + len(_windows(uv_px.shape[1])))
     # The blocks are small: BLAS's own threads would wait for each other longer than they work, thirty times on a busy machine.
@@ -282,7 +284,7 @@ def _windows(frames: int) -> list[tuple[slice, slice]]:
     return windows
 
 
-def _start(trial: Trial, start: Motion) -> State:
+def _start(trial: Trial, start: Motion, after: PixelFit | None) -> State:
     """Fill the gaps of the starting motion: between known frames by straight lines, else with the default."""
     q = start.values.copy()
     time = np.arange(len(q))
@@ -290,12 +292,11 @@ def _start(trial: Trial, start: Motion) -> State:
         known = np.isfinite(q[:, column])
         q[:, column] = np.interp(time, time[known], q[known, column]) if known.any() else default
     cameras, _, markers = trial.confidence.shape
-    return State(
-        q=q,
-        log_scale=np.zeros(len(trial.priors.group_sd)),
-        offset_m=np.zeros((markers, 3)),
-        bias_px=np.zeros((cameras, markers, 2)),
-    )
+    bias_px = np.zeros((cameras, markers, 2))
+    if after is None:
+        return State(q, np.zeros(len(trial.priors.group_sd)), np.zeros((markers, 3)), bias_px)
+    bias_px[: len(after.bias_px)] = after.bias_px
+    return State(q, after.log_scale, after.offset_m, bias_px)
 
 
 def _noise_px(trial: Trial, state: State) -> Float[np.ndarray, " camera"]:
