@@ -7,7 +7,7 @@ MONOCULAR_KINDS: dict[str, Kind] = {
         "warning",  # what nothing checks is never "good"
         "kinematics",
         "One camera saw this trial, {value:.0f}° away from the side: depth comes from the floor and the subject's stature, "
-        "and nothing checks it. The error bands count with that.",
+        "and nothing checks it. The error bands count with that, but not with a hidden leg that the network guessed wrong.",
         "Film straight from the side; two or more calibrated cameras measure what one can only infer.",
         "deg",
     ),
