@@ -79,6 +79,17 @@ def test_content_comes_back_whole_and_in_parts(lab, session, capture):
     assert beyond.headers["content-range"] == f"bytes */{len(content)}"
 
 
+def test_content_that_somebody_removed_from_the_store_is_named(lab, session, capture):
+    before = set(lab.objects())
+    file = lab.client.upload(session, capture / "cam01.mp4", name="gone.mp4")
+    (stored,) = set(lab.objects()) - before
+    stored.unlink()
+    gone = lab.http.get(file["content"])
+    assert refusal(gone) == (500, "content-missing")
+    assert "restore" in gone.json()["hint"]
+    lab.client.delete_file(session, file["id"])
+
+
 @pytest.mark.parametrize(
     "name",
     [

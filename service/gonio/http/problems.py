@@ -132,6 +132,7 @@ KINDS: Mapping[str, Kind] = {
     "internal-error": Kind(500, "Internal error", "A fault of gonio's own; its log explains the `reference`."),
     "worker-crashed": Kind(500, "Worker crashed", "The analysis ended the process that computed it."),
     "artefact-damaged": Kind(500, "Artefact damaged", "An intermediate result is missing or has changed on the disk."),
+    "content-missing": Kind(500, "Content missing", "A file that the database knows was removed from the store."),
     "database-unreachable": Kind(503, "Database unreachable", "The service can't use its database at the moment."),
     "store-unreachable": Kind(503, "Store unreachable", "The service can't use its store of files at the moment."),
     "not-ready": Kind(503, "Not ready", "The service runs but can't do its work at the moment."),

@@ -131,18 +131,22 @@ class Store:
         one is given: a process that is killed leaves it there.
 
         Raises:
-            FileNotFoundError: There is no such object.
+            GonioError: ``content-missing``: it was removed from the folder or bucket by somebody else.
         """
         if self._folder is not None:
             path = self._folder / key
-            path.stat()
+            if not path.is_file():
+                raise _missing(key)
             yield path
             return
         with tempfile.NamedTemporaryFile(prefix="gonio-", dir=folder) as file:
-            with _telling():
-                for chunk in obstore.get(self._objects, key).stream(CHUNK):
-                    file.write(chunk)
-                file.flush()
+            try:
+                with _telling():
+                    for chunk in obstore.get(self._objects, key).stream(CHUNK):
+                        file.write(chunk)
+            except FileNotFoundError as error:
+                raise _missing(key) from error
+            file.flush()
             yield Path(file.name)
 
     def delete(self, prefix: str) -> None:
@@ -171,6 +175,15 @@ class Store:
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
+
+
+def _missing(key: str) -> GonioError:
+    return GonioError(
+        "The content of this file is no longer in the store, though the database knows the file.",
+        hint="Somebody removed it there, or the store was restored to an older state than the database: restore both alike.",
+        code="content-missing",
+        key=key,
+    )
 
 
 @contextmanager

@@ -73,7 +73,7 @@ def test_deleting_a_prefix_takes_all_below_it_and_nothing_beside_it(store):
     store.delete("labs/x/sessions/1")
     assert store.get_bytes(kept) == b"kept"
     for stored in gone:
-        with pytest.raises(FileNotFoundError), store.local_path(stored.key):
+        with pytest.raises(GonioError, match="no longer in the store"), store.local_path(stored.key):
             pass
 
 
@@ -81,5 +81,5 @@ def test_one_object_is_deleted_by_its_key(store, tmp_path):
     (tmp_path / "f").write_bytes(b"x")
     store.take_file("labs/x/files/1", tmp_path / "f")
     store.delete("labs/x/files/1")
-    with pytest.raises(FileNotFoundError), store.local_path("labs/x/files/1"):
+    with pytest.raises(GonioError, match="no longer in the store"), store.local_path("labs/x/files/1"):
         pass

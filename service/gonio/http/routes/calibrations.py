@@ -41,7 +41,7 @@ def list_calibration_files(calibration_id: Id, service: TheService, lab: Current
     responses={
         200: {"description": "The file.", "content": {"application/octet-stream": {}, "text/html": {}}},
         206: {"description": "The part of it that `Range` asked for.", "content": {"application/octet-stream": {}}},
-        **fails("not-found", "range-not-satisfiable", "malformed-body"),
+        **fails("not-found", "range-not-satisfiable", "malformed-body", "content-missing"),
     },
 )
 def read_calibration_file(

@@ -137,7 +137,7 @@ def list_files(session_id: Id, service: TheService, lab: CurrentLab) -> ListOf[F
     responses={
         200: {"description": "The content.", "content": {"application/octet-stream": {}}},
         206: {"description": "The part of it that `Range` asked for.", "content": {"application/octet-stream": {}}},
-        **fails("not-found", "range-not-satisfiable", "malformed-body"),
+        **fails("not-found", "range-not-satisfiable", "malformed-body", "content-missing"),
     },
 )
 def read_file(session_id: Id, file_id: Id, service: TheService, caller: TheCaller) -> Response:

@@ -22,7 +22,10 @@ SHOWN = {".html": "text/html; charset=utf-8", ".json": "application/json", ".svg
 @router.get(
     "/{report_id}",
     response_class=Response,
-    responses={200: {"description": "The report.", "content": {"application/json": {}}}, **fails("not-found")},
+    responses={
+        200: {"description": "The report.", "content": {"application/json": {}}},
+        **fails("not-found", "content-missing"),
+    },
 )
 def read_report(report_id: Id, service: TheService, caller: TheCaller) -> Response:
     """Read a report: the JSON document, whose `schema` member names its version."""
@@ -44,7 +47,7 @@ def list_report_files(report_id: Id, service: TheService, lab: CurrentLab) -> Li
     responses={
         200: {"description": "The file.", "content": {"application/octet-stream": {}, "text/html": {}}},
         206: {"description": "The part of it that `Range` asked for.", "content": {"application/octet-stream": {}}},
-        **fails("not-found", "range-not-satisfiable", "malformed-body"),
+        **fails("not-found", "range-not-satisfiable", "malformed-body", "content-missing"),
     },
 )
 def read_report_file(
