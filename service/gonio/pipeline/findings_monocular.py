@@ -23,8 +23,8 @@ MONOCULAR_KINDS: dict[str, Kind] = {
         "warning",
         "kinematics",
         "The floor could not be used: {where}. The subject's distance, steps and speed rest on the stature alone.",
-        "Check that the calibration's floor (y = 0) is what the subject stands on, and the subject's stature. On a beam or a "
-        "treadmill, make its surface the floor.",
+        "Check that the calibration's floor (y = 0) is what the subject stands on, and the subject's stature. On a treadmill "
+        "no foot stands still: nothing is wrong then.",
         "m",
     ),
     "stature-unknown": Kind(

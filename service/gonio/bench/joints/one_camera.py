@@ -42,6 +42,8 @@ SEGMENTS = (
     ("talus_r", "calcn_r", "toes_r", "talus_l", "calcn_l", "toes_l"),
 )
 TOES_REST_M = 0.02
+"""How high the toes' keypoint is when the foot stands."""
+
 IDEAL = Detector(
     sigma_m=NOISE_PX * DISTANCE_M / FOCAL_PX,
     white=1.0,
@@ -87,8 +89,8 @@ def measure_walkers(bench: Bench) -> None:
 def measure_balancing(bench: Bench) -> None:
     """Compare each camera of the balancing trial, alone, with all four: the knees' flexion over time.
 
-    The person's stature was not written down: it is taken from the leg's length by four cameras. She stands on a beam: its
-    upper side is made the floor, as the findings advise, by the left foot's toes, which stay on it.
+    The person's stature was not written down: it is taken from the leg's length by four cameras. The person stands on
+    a beam: its upper side is made the floor, as the findings advise, by the left foot's toes, which stay on it.
 
     Raises:
         ResourceError: the recording is not there.
