@@ -34,7 +34,13 @@ MAX_ITERATIONS = 100
 LARGEST_STEP_RAD = 0.6
 REMEMBERED = 8
 
-FAR = 0.05
+ROUGHLY = 1e-3
+"""How well, as a share of the cost, it has settled where the noise level is estimated once more."""
+
+ALIKE = 0.3
+"""Noise levels whose logarithms differ by less make much the same equations: steps are a little long or short."""
+
+FAR = 0.1
 """A step that takes this share off the cost has changed the observations' weights so much that the equations are old."""
 
 
@@ -75,12 +81,12 @@ def minimise(
     for iteration in range(1, MAX_ITERATIONS + 1):
         on_iteration()
         largest_rad, expected, gain = descent.go()
-        if largest_rad < TOLERANCE_RAD or max(abs(gain), expected) < tolerance * descent.cost:
+        enough = tolerance if settled else max(tolerance, ROUGHLY)
+        if largest_rad < TOLERANCE_RAD or max(abs(gain), expected) < enough * descent.cost:
             if settled:
                 return Found(descent.state, descent.sigma_px, iteration, converged=True)
             settled = True
-            descent.sigma_px = estimate_noise_px(trial, descent.state)
-            descent.factorise()
+            descent.weigh(estimate_noise_px(trial, descent.state))
         elif gain < 0 or gain > FAR * descent.cost:
             descent.factorise()
     return Found(descent.state, descent.sigma_px, MAX_ITERATIONS, converged=False)
@@ -105,6 +111,17 @@ class _Descent:
         self._step: Step = prepare_step(self._trial, equations, self._damping, shared=self._shared)
         self._is_fresh = True
         self._pairs: deque[tuple[np.ndarray, np.ndarray, float]] = deque(maxlen=REMEMBERED)
+        self.cost, self._gradient = equations.cost, gradient_of(equations, shared=self._shared)
+
+    def weigh(self, sigma_px: Float[np.ndarray, " camera"]) -> None:
+        """Weigh the observations by another noise level; what was factorised stays if it is much the same."""
+        alike = bool((np.abs(np.log(sigma_px / self.sigma_px)) < ALIKE).all())
+        self.sigma_px = sigma_px
+        if not alike:
+            self.factorise()
+            return
+        equations = self._linearise(self.state, GRADIENT)
+        self._pairs.clear()
         self.cost, self._gradient = equations.cost, gradient_of(equations, shared=self._shared)
 
     def go(self) -> tuple[float, float, float]:
