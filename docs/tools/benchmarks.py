@@ -164,7 +164,6 @@ def _index(runs: dict[str, tuple[dict[str, Any], list[Metric]]]) -> str:
         lines.append(
             f"| [{name}]({name}.md) | {what} | {len(metrics)} | {', '.join(beyond) or 'none'} | `{document['commit'][:10]}` |"
         )
-    lines += ["", "`gonio bench` has others, without a committed run yet; a wrong name makes it list them."]
     return "\n".join([*lines, ""])
 
 
