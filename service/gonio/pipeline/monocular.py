@@ -17,7 +17,8 @@ from gonio.kernel.calibration.person import unrefined
 from gonio.kernel.geometry.cameras import project, undistort_rig
 from gonio.kernel.geometry.transforms import rotation_about_y, transform
 from gonio.kernel.kinematics.clinical import clinical_sd_deg, find_clinical_angles
-from gonio.kernel.kinematics.floor import Standing, place_covariance_m2
+from gonio.kernel.kinematics.covariance import place_covariance_m2
+from gonio.kernel.kinematics.floor import Standing
 from gonio.kernel.kinematics.monocular import (
     REAL_SCATTER,
     OneCameraFit,

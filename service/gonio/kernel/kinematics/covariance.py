@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numba import njit
 
 from gonio.errors import InputError
-from gonio.kernel.body.forward import differentiate_marker
+from gonio.kernel.body.forward import couple, differentiate_marker, marker_positions
 from gonio.kernel.body.tree import Array
 from gonio.kernel.kinematics.inverse import pose_problem
 from gonio.kernel.kinematics.newton import (
@@ -86,6 +86,23 @@ def add_covariance(
     over_blocks(propagate, len(q), _BLOCK)
     found.setflags(write=False)  # so the record takes it as it is
     return replace(motion, covariance=found) if whole else replace(motion, sd=found)
+
+
+def place_covariance_m2(model: BodyModel, motion: Motion) -> Float[np.ndarray, "frame marker 3 3"]:
+    """Give the covariance of the markers' places that the coordinates' covariance makes; NaN where that is not known."""
+    assert motion.covariance is not None  # a fit to pixels always has one
+    known = np.asarray(np.isfinite(motion.values).all(axis=1))
+    q = np.where(known[:, None], motion.values, model.coordinates.default)
+    free = np.flatnonzero(model.coordinates.coupled_to < 0)
+    step = 1e-5  # rad or m: the places are smooth, and 1e-5 of them is far above rounding
+    here = marker_positions(model, couple(model, q))
+    by = np.empty((*here.shape, len(free)))
+    for column, coordinate in enumerate(free):
+        moved = q.copy()
+        moved[:, coordinate] += step
+        by[..., column] = (marker_positions(model, couple(model, moved)) - here) / step
+    own = motion.covariance[:, free[:, None], free]
+    return np.where(known[:, None, None, None], np.einsum("fkia,fab,fkjb->fkij", by, own, by, optimize=True), np.nan)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gonio.kernel.body.forward import couple, marker_positions
+from gonio.kernel.kinematics.covariance import place_covariance_m2
 from gonio.kernel.kinematics.pixel_priors import BIAS_M
 from gonio.kernel.kinematics.pixel_system import Trial
 from gonio.records import BodyModel, Motion
@@ -41,6 +42,18 @@ class Standing(NamedTuple):
     def is_on_floor(self) -> bool:
         """Whether the feet stand where the floor is; not if none stands."""
         return bool(abs(self.gap_m) <= DISAGREES_SD * self.gap_sd_m)
+
+
+def feet_of(model: BodyModel) -> tuple[Int[np.ndarray, " foot_marker"], Float[np.ndarray, " foot_marker"]]:
+    """Give the foot's markers (heels and toes; ankles where there are none), and how high they are when the foot stands."""
+    names = model.markers.names
+    feet = [i for i, name in enumerate(names) if "heel" in name or "toe" in name or "foot_index" in name]
+    with_ankles = feet + [i for i, name in enumerate(names) if "ankle" in name]
+    upright = marker_positions(model, couple(model, model.coordinates.default[None]))[0, :, 1]
+    # Heels and toes rest within a centimetre of the sole; an ankle's height above it is that of every adult, 7 cm.
+    chosen = feet or with_ankles
+    floor_m = min((upright[i] for i in feet), default=upright[with_ankles].min() - 0.07 if with_ankles else 0.0)
+    return np.array(chosen, dtype=int), upright[chosen] - floor_m
 
 
 def find_standing(
@@ -86,20 +99,3 @@ def with_floor(trial: Trial, resting_m: Float[np.ndarray, "frame marker"]) -> Tr
         priors=replace(trial.priors, bias_sd_px=np.append(trial.priors.bias_sd_px, SOLE_M * px_per_m)),
         pictures=len(trial.projections),
     )
-
-
-def place_covariance_m2(model: BodyModel, motion: Motion) -> Float[np.ndarray, "frame marker 3 3"]:
-    """Give the covariance of the markers' places that the coordinates' covariance makes; NaN where that is not known."""
-    assert motion.covariance is not None  # a fit to pixels always has one
-    known = np.asarray(np.isfinite(motion.values).all(axis=1))
-    q = np.where(known[:, None], motion.values, model.coordinates.default)
-    free = np.flatnonzero(model.coordinates.coupled_to < 0)
-    step = 1e-5  # rad or m: the places are smooth, and 1e-5 of them is far above rounding
-    here = marker_positions(model, couple(model, q))
-    by = np.empty((*here.shape, len(free)))
-    for column, coordinate in enumerate(free):
-        moved = q.copy()
-        moved[:, coordinate] += step
-        by[..., column] = (marker_positions(model, couple(model, moved)) - here) / step
-    own = motion.covariance[:, free[:, None], free]
-    return np.where(known[:, None, None, None], np.einsum("fkia,fab,fkjb->fkij", by, own, by, optimize=True), np.nan)

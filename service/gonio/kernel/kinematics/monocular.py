@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from gonio.errors import CaptureError
 from gonio.kernel.body.forward import couple, marker_positions
-from gonio.kernel.kinematics.floor import Standing, find_standing
+from gonio.kernel.kinematics.floor import Standing, feet_of, find_standing
 from gonio.kernel.kinematics.inverse import solve_motion
 from gonio.kernel.kinematics.pixel_priors import BIAS_M, MOMENT_S, TRUNK_OFFSET_M, TrialPriors
 from gonio.kernel.kinematics.pixels import MIN_CONFIDENCE, PixelFit, fit_pixels
@@ -266,18 +266,6 @@ def place_body(
     middle = np.stack([np.interp(frames, frames[usable], hips[usable, axis]) for axis in range(3)], axis=1)
     hips_lab_m = camera.centre_lab_m + middle * (depth_m / (middle @ looks))[:, None]
     return Placement(hips_lab_m, _forward(model, feet, on_floor, weight, hips_lab_m))
-
-
-def feet_of(model: BodyModel) -> tuple[Int[np.ndarray, " foot_marker"], Float[np.ndarray, " foot_marker"]]:
-    """Give the foot's markers (heels and toes; ankles where there are none), and how high they are when the foot stands."""
-    names = model.markers.names
-    feet = [i for i, name in enumerate(names) if "heel" in name or "toe" in name or "foot_index" in name]
-    with_ankles = feet + [i for i, name in enumerate(names) if "ankle" in name]
-    upright = marker_positions(model, couple(model, model.coordinates.default[None]))[0, :, 1]
-    # Heels and toes rest within a centimetre of the sole; an ankle's height above it is that of every adult, 7 cm.
-    chosen = feet or with_ankles
-    floor_m = min((upright[i] for i in feet), default=upright[with_ankles].min() - 0.07 if with_ankles else 0.0)
-    return np.array(chosen, dtype=int), upright[chosen] - floor_m
 
 
 def view_angle_rad(camera: Camera, placement: Placement) -> float:
