@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gonio.kernel.optimize.banded import factorise, invert_within, substitute
+from gonio.kernel.optimize.banded import factorise, invert_within, substitute, substitute_back, substitute_forward
 
 
 @pytest.mark.parametrize(("rows", "width"), [(1, 1), (5, 2), (40, 7), (30, 30)])
@@ -20,6 +20,13 @@ def test_factor_solution_and_inverse_are_those_of_the_dense_matrix(rows: int, wi
     assert factorise(band)
     substitute(band, right)
     np.testing.assert_allclose(right, expected, rtol=1e-8, atol=1e-10)
+    columns = rng.normal(size=(rows, 3))
+    solved = np.linalg.solve(dense, columns)
+    squares = columns.T @ solved
+    substitute_forward(band, columns)
+    np.testing.assert_allclose(columns.T @ columns, squares, rtol=1e-8, atol=1e-10)
+    substitute_back(band, columns)
+    np.testing.assert_allclose(columns, solved, rtol=1e-8, atol=1e-10)
     inverse = np.zeros_like(band)
     invert_within(band, inverse)
     whole = np.linalg.inv(dense)

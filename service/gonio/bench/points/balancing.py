@@ -53,7 +53,7 @@ def measure_balancing(bench: Bench, build_dir: Path) -> None:
     found = find_points(points, rig, chosen.reconstruction)
     bias_px = np.linalg.norm(camera_bias_px(found.raw.points), axis=1)
     bench.add("real_camera_bias_px", bias_px.max(), "px", at_most=2.0)
-    _measure_steadiness(bench, "points_free", found.free.xyz_lab_m, points, worst_pct=5.4)
+    _measure_steadiness(bench, "points_free", found.free.xyz_lab_m, points, worst_pct=4.7)
     _measure_steadiness(bench, "points", found.smooth.xyz_lab_m, points)
     _, motion = find_motion(points, found, chosen)
     bench.add("real_pixels_trusted", float(not motion.distrusted), "1")

@@ -46,6 +46,30 @@ def substitute(factor: Array, right: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def substitute_forward(factor: Array, right: Array) -> None:
+    """Multiply columns (row, column) by the inverse of a factor, in place: the first half of solving."""
+    rows, width = factor.shape
+    for i in range(rows):
+        for d in range(1, min(i, width - 1) + 1):
+            for c in range(right.shape[1]):
+                right[i, c] -= factor[i, d] * right[i - d, c]
+        for c in range(right.shape[1]):
+            right[i, c] /= factor[i, 0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def substitute_back(factor: Array, right: Array) -> None:
+    """Multiply columns (row, column) by the inverse of a factor's transpose, in place: the second half."""
+    rows, width = factor.shape
+    for i in range(rows - 1, -1, -1):
+        for d in range(1, min(rows - 1 - i, width - 1) + 1):
+            for c in range(right.shape[1]):
+                right[i, c] -= factor[i + d, d] * right[i + d, c]
+        for c in range(right.shape[1]):
+            right[i, c] /= factor[i, 0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def invert_within(factor: Array, inverse: Array) -> None:
     """Fill the entries of the inverse that lie within the band."""
     rows, width = factor.shape
