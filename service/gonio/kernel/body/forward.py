@@ -15,7 +15,7 @@ from gonio.kernel.body.tree import (
     Tree,
     couple_coordinates,
     flatten,
-    place_marker,
+    marker_place,
     pose_nodes,
 )
 from gonio.records import PRISMATIC, REVOLUTE, BodyModel
@@ -91,18 +91,17 @@ def _differentiate_frames(tree: Tree, nodes: Array, jacobian: Array) -> None:
 @njit(cache=True, error_model="numpy")
 def differentiate_marker(tree: Tree, nodes: Array, marker: Array, jacobian: Array) -> None:
     """Add ∂(marker position)/∂q to ``jacobian`` (3, coordinate), in one frame whose nodes are posed."""
-    point, arm = np.empty(3), np.empty(3)
-    place_marker(nodes, marker, point)
+    x, y, z = marker_place(nodes, marker)
     index = marker.node
     while index >= 0:
         given, node = tree.nodes[index], nodes[index]
-        if given.driver >= 0 and given.kind == REVOLUTE:
+        driver, first, axis = given.driver, node.first, node.axis_lab
+        if driver >= 0 and given.kind == REVOLUTE:
+            arm_x, arm_y, arm_z = x - node.p_lab_node[0], y - node.p_lab_node[1], z - node.p_lab_node[2]
+            jacobian[0, driver] += first * (axis[1] * arm_z - axis[2] * arm_y)
+            jacobian[1, driver] += first * (axis[2] * arm_x - axis[0] * arm_z)
+            jacobian[2, driver] += first * (axis[0] * arm_y - axis[1] * arm_x)
+        elif driver >= 0 and given.kind == PRISMATIC:
             for i in range(3):
-                arm[i] = point[i] - node.p_lab_node[i]
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                jacobian[i, given.driver] += node.first * (node.axis_lab[j] * arm[k] - node.axis_lab[k] * arm[j])
-        elif given.driver >= 0 and given.kind == PRISMATIC:
-            for i in range(3):
-                jacobian[i, given.driver] += node.first * node.axis_lab[i]
+                jacobian[i, driver] += first * axis[i]
         index = given.parent

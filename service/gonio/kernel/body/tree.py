@@ -223,11 +223,20 @@ def _turn_or_slide(given: Array, placed: Array, node: Array) -> None:
 @njit(cache=True, error_model="numpy")
 def place_marker(nodes: Array, marker: Array, point: Array) -> None:
     """Fill ``point`` (3,) with a marker's place in the lab, m."""
-    for i in range(3):
-        if marker.node < 0:
-            point[i] = marker.location_m[i]
-        else:
-            node = nodes[marker.node]
-            point[i] = node.p_lab_node[i]
-            for j in range(3):
-                point[i] += node.R_lab_node[i, j] * marker.location_m[j]
+    point[0], point[1], point[2] = marker_place(nodes, marker)
+
+
+@njit(cache=True, error_model="numpy")
+def marker_place(nodes: Array, marker: Array) -> tuple[float, float, float]:
+    """Give a marker's place in the lab, m."""
+    location = marker.location_m
+    x, y, z = location[0], location[1], location[2]
+    if marker.node < 0:
+        return x, y, z
+    node = nodes[marker.node]
+    R, p = node.R_lab_node, node.p_lab_node
+    return (
+        p[0] + R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        p[1] + R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        p[2] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )

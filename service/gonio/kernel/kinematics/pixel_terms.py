@@ -29,6 +29,9 @@ from gonio.records import PRISMATIC, REVOLUTE
 
 RESIDUALS, GRADIENT, NORMAL_EQUATIONS = 0, 1, 2
 
+_LARGE = 1e100
+"""Logarithms take time: one of a product stands for the sum of many, as long as that is far from overflowing."""
+
 
 class Sight(NamedTuple):
     """What the cameras saw, and how it is weighed."""
@@ -56,7 +59,7 @@ class Layout(NamedTuple):
 class Sums(NamedTuple):
     """The normal equations; those of a frame are overwritten, those of the shared unknowns added to.
 
-    Of the corner only the lower half is. What the layout's order does not ask for is left as it is.
+    Of Hessian and corner there is only the lower half. What the layout's order does not ask for is left as it is.
     """
 
     hessian: Array  # (frame, free, free)
@@ -109,8 +112,11 @@ def sum_frames(tree: Tree, sight: Sight, layout: Layout, start: int, stop: int, 
             place_marker(nodes, tree.markers[marker], seen.place)
             cost += _look(sight, layout.order, frame, marker, seen, sums.error_px)
             if layout.order < NORMAL_EQUATIONS:
-                if layout.order == GRADIENT and tree.markers[marker].node >= 0:
-                    _pull_node(nodes, tree.markers[marker], layout, len(tree.markers), marker, sums, frame, seen)
+                index = tree.markers[marker].node
+                if layout.order == GRADIENT and index >= 0:
+                    _pull_node(seen.place, seen.pull, seen.forces[index])
+                    if layout.shared:
+                        _pull_shape(nodes, index, layout, len(tree.markers), marker, sums, frame, seen)
                 continue
             if not np.any(seen.weight > 0.0):
                 continue
@@ -128,17 +134,24 @@ def sum_frames(tree: Tree, sight: Sight, layout: Layout, start: int, stop: int, 
 
 
 @njit(cache=True, error_model="numpy")
-def _pull_node(
-    nodes: Array, given: Array, layout: Layout, markers: int, marker: int, sums: Sums, frame: int, seen: Keypoint
+def _pull_node(place: Array, pull: Array, total: Array) -> None:
+    """Let a keypoint pull at its node, as a force and its moment about the lab's origin."""
+    x, y, z = place[0], place[1], place[2]
+    pull_x, pull_y, pull_z = pull[0], pull[1], pull[2]
+    total[0] += pull_x
+    total[1] += pull_y
+    total[2] += pull_z
+    total[3] += y * pull_z - z * pull_y
+    total[4] += z * pull_x - x * pull_z
+    total[5] += x * pull_y - y * pull_x
+
+
+@njit(cache=True, error_model="numpy")
+def _pull_shape(
+    nodes: Array, index: int, layout: Layout, markers: int, marker: int, sums: Sums, frame: int, seen: Keypoint
 ) -> None:
-    """Let a keypoint pull at its node, as a force and its moment about the lab's origin, and at what is shared."""
-    x, pull, total, node = seen.place, seen.pull, seen.forces[given.node], nodes[given.node]
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        total[i] += pull[i]
-        total[3 + i] += x[j] * pull[k] - x[k] * pull[j]
-    if not layout.shared:
-        return
+    """Let a keypoint pull at the length and the offset that put it into its node's frame, and at the cameras' biases."""
+    x, pull, node = seen.place, seen.pull, nodes[index]
     gradient, group = sums.shared_gradient, layout.marker_group[marker]
     for i in range(3):
         if group >= 0:
@@ -210,7 +223,7 @@ def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, err
     Written out in scalars, for it is done for each observation of each step.
     """
     x, y, z = seen.place[0], seen.place[1], seen.place[2]
-    sharpness, cost = 1.0 / sight.loss_scale**2, 0.0
+    sharpness, cost, product = 1.0 / sight.loss_scale**2, 0.0, 1.0
     if order == NORMAL_EQUATIONS:
         seen.information[:] = 0.0
     pull_x = pull_y = pull_z = 0.0
@@ -228,7 +241,9 @@ def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, err
         off_v = sight.uv_px[c, frame, marker, 1] - sight.bias_px[c, marker, 1] - v
         error_px[c, frame, marker, 0], error_px[c, frame, marker, 1] = off_u, off_v
         tamed = 1.0 + (off_u * off_u + off_v * off_v) * precision * precision * sharpness
-        cost += np.log(tamed)
+        product *= tamed
+        if product > _LARGE:
+            cost, product = cost + np.log(product), 1.0
         if order == RESIDUALS:
             continue
         w = precision * precision / tamed
@@ -243,7 +258,7 @@ def _look(sight: Sight, order: int, frame: int, marker: int, seen: Keypoint, err
     seen.pull[0], seen.pull[1], seen.pull[2] = pull_x, pull_y, pull_z
     if order == NORMAL_EQUATIONS:
         _mirror(seen.information)
-    return 0.5 * sight.loss_scale**2 * cost
+    return 0.5 * sight.loss_scale**2 * (cost + np.log(product))
 
 
 @njit(cache=True, error_model="numpy")
@@ -264,18 +279,19 @@ def _mirror(matrix: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _add_frame(seen: Keypoint, moving: int, sums: Sums, frame: int) -> None:
-    """Add Jᵀ γ and Jᵀ Λ J of one keypoint, for the coordinates that move it."""
-    carried, hessian = np.zeros(3), sums.hessian[frame]
+    """Add Jᵀ γ and the lower half of Jᵀ Λ J of one keypoint, for the coordinates that move it, which are in rising order."""
+    gradient, hessian, moved, L, pull = sums.gradient, sums.hessian, seen.moved, seen.information, seen.pull
     for k in range(moving):
         a = seen.moving[k]
-        sums.gradient[frame, a] += _dot(seen.moved[k], seen.pull)
-        _carry(seen.information, seen.moved[k], carried)
+        x, y, z = moved[k, 0], moved[k, 1], moved[k, 2]
+        gradient[frame, a] += x * pull[0] + y * pull[1] + z * pull[2]
+        carried_x = L[0, 0] * x + L[0, 1] * y + L[0, 2] * z
+        carried_y = L[1, 0] * x + L[1, 1] * y + L[1, 2] * z
+        carried_z = L[2, 0] * x + L[2, 1] * y + L[2, 2] * z
         for m in range(k + 1):
-            b = seen.moving[m]
-            entry = _dot(carried, seen.moved[m])
-            hessian[a, b] += entry
-            if m < k:
-                hessian[b, a] += entry
+            hessian[frame, a, seen.moving[m]] += (
+                carried_x * moved[m, 0] + carried_y * moved[m, 1] + carried_z * moved[m, 2]
+            )
 
 
 @njit(cache=True, error_model="numpy")
@@ -284,28 +300,28 @@ def _differentiate_geometry(tree: Tree, nodes: Array, layout: Layout, marker: in
 
     By a group's log-scale: what its lengths contribute to the way from the root. By the offset: the axes of its own node.
     """
-    by, index = seen.by_geometry, tree.markers[marker].node
+    by, index, scales = seen.by_geometry, tree.markers[marker].node, layout.scales
     by[:] = 0.0
+    own, group, factor = nodes[index], layout.marker_group[marker], layout.marker_factor[marker]
     for i in range(3):
         for j in range(3):
-            by[layout.scales + j, i] = nodes[index].R_lab_node[i, j] * layout.marker_factor[marker]
-        if layout.marker_group[marker] >= 0:
-            by[layout.marker_group[marker], i] += seen.place[i] - nodes[index].p_lab_node[i]
+            by[scales + j, i] = own.R_lab_node[i, j] * factor
+        if group >= 0:
+            by[group, i] += seen.place[i] - own.p_lab_node[i]
     while index >= 0:
         given, node, group = tree.nodes[index], nodes[index], layout.node_group[index]
         if group >= 0 and given.parent >= 0:
-            parent = nodes[given.parent]
+            turn, arm = nodes[given.parent].R_lab_node, given.p_parent_node
             for i in range(3):
-                for j in range(3):
-                    by[group, i] += parent.R_lab_node[i, j] * given.p_parent_node[j]
+                by[group, i] += turn[i, 0] * arm[0] + turn[i, 1] * arm[1] + turn[i, 2] * arm[2]
                 if given.kind == PRISMATIC:  # a slide that follows an angle: the knee's
                     by[group, i] += node.axis_lab[i] * node.value
         index = given.parent
     count = 0
-    for s in range(layout.scales + 3):
-        if s >= layout.scales or by[s, 0] != 0.0 or by[s, 1] != 0.0 or by[s, 2] != 0.0:
-            by[count] = by[s]
-            seen.columns[count] = s if s < layout.scales else s + 3 * marker
+    for s in range(scales + 3):
+        if s >= scales or by[s, 0] != 0.0 or by[s, 1] != 0.0 or by[s, 2] != 0.0:
+            by[count, 0], by[count, 1], by[count, 2] = by[s, 0], by[s, 1], by[s, 2]
+            seen.columns[count] = s if s < scales else s + 3 * marker
             count += 1
     return count
 
@@ -336,23 +352,20 @@ def _add_shared(seen: Keypoint, moving: int, geometric: int, count: int, sums: S
 
     Of the corner only the lower half is filled; the columns are in rising order.
     """
+    by, rows, columns, L, pull = seen.by_geometry, seen.rows, seen.columns, seen.information, seen.pull
     for a in range(geometric):
-        _carry(seen.information, seen.by_geometry[a], seen.rows[a])
-        sums.shared_gradient[seen.columns[a]] += _dot(seen.by_geometry[a], seen.pull)
+        x, y, z = by[a, 0], by[a, 1], by[a, 2]
+        for i in range(3):
+            rows[a, i] = L[i, 0] * x + L[i, 1] * y + L[i, 2] * z
+        sums.shared_gradient[columns[a]] += x * pull[0] + y * pull[1] + z * pull[2]
     for a in range(geometric):
+        x, y, z = by[a, 0], by[a, 1], by[a, 2]
         for r in range(a, count):
-            sums.corner[seen.columns[r], seen.columns[a]] += _dot(seen.rows[r], seen.by_geometry[a])
+            sums.corner[columns[r], columns[a]] += rows[r, 0] * x + rows[r, 1] * y + rows[r, 2] * z
     for k in range(moving):
-        border, moved = sums.border[frame, seen.moving[k]], seen.moved[k]
+        coordinate, x, y, z = seen.moving[k], seen.moved[k, 0], seen.moved[k, 1], seen.moved[k, 2]
         for r in range(count):
-            border[seen.columns[r]] += _dot(seen.rows[r], moved)
-
-
-@njit(cache=True, error_model="numpy")
-def _carry(information: Array, column: Array, carried: Array) -> None:
-    """Fill ``carried`` with Λ · column."""
-    for i in range(3):
-        carried[i] = information[i, 0] * column[0] + information[i, 1] * column[1] + information[i, 2] * column[2]
+            sums.border[frame, coordinate, columns[r]] += rows[r, 0] * x + rows[r, 1] * y + rows[r, 2] * z
 
 
 @njit(cache=True, error_model="numpy")
