@@ -208,14 +208,13 @@ class _Part(NamedTuple):
 
 def _solve_sample(trial: Trial, start: State, progress: _Stages) -> _Solved:
     """Solve for the motion first, then for what is shared along with a rougher one, and last for the motion again."""
-    state, _, first, _ = _descend(trial, start, WIDE_LOSS, ROUGH_TOLERANCE, progress, shared=False)
-    state, sigma_px, second, _ = _descend(trial, state, LOSS, ROUGH_TOLERANCE, progress, shared=False)
+    state, sigma_px, first, _ = _descend(trial, start, WIDE_LOSS, ROUGH_TOLERANCE, progress, shared=False)
     trial, swapped = _unswap_legs(trial, state, sigma_px)
     trial = replace(trial, repeat=max(_repeat(trial, state, sigma_px), _least_repeat(trial, sigma_px)))
     rough = replace(trial, priors=replace(trial.priors, jerk_sd=GEOMETRY_JERK * trial.priors.jerk_sd))
     state, _, third, settled = _descend(rough, state, LOSS, COST_TOLERANCE, progress, shared=True)
     state, sigma_px, fourth, converged = _descend(trial, state, LOSS, COST_TOLERANCE, progress, shared=False)
-    iterations = first + second + third + fourth
+    iterations = first + third + fourth
     return _Solved(replace(trial, repeat=1.0), state, sigma_px, swapped, settled and converged, iterations)
 
 
@@ -302,12 +301,11 @@ def _start(trial: Trial, start: Motion, after: PixelFit | None) -> State:
 def _noise_px(trial: Trial, state: State) -> Float[np.ndarray, " camera"]:
     """Estimate each camera's standard deviation at confidence 1 robustly: half of all |e|² of two normals lie below 1.386."""
     error = residuals_px(trial, state)
-    weighted = trial.confidence**2 * (error**2).sum(axis=-1)
-    seen = trial.confidence > 0
-    pooled = np.sqrt(np.nanmedian(weighted[seen]) / 1.386) if seen.any() else 1.0
-    levels = [
-        np.sqrt(np.nanmedian(w[s]) / 1.386) if s.sum() > 50 else pooled for w, s in zip(weighted, seen, strict=True)
-    ]
+    squared = trial.confidence**2 * (error**2).sum(axis=-1)
+    seen = np.isfinite(squared) & (trial.confidence > 0)
+    pooled = np.median(squared[seen]) if seen.any() else 1.386
+    levels = [np.median(s[own]) if own.sum() > 50 else pooled for s, own in zip(squared, seen, strict=True)]
+    levels = np.sqrt(np.array(levels) / 1.386)
     return np.maximum(levels, SHARPEST * trial.priors.bias_sd_px)
 
 

@@ -148,7 +148,7 @@ def _solve(trial: _Trial, tracks: _Tracks, scales_m: tuple[float, ...]) -> None:
             tracks.xyz_lab_m[:, k], tracks.covariance_m2[:, k] = xyz, covariance_m2
             tracks.camera_weight[:, :, k], tracks.bias_m[:, k] = kept, bias_m
 
-    over_blocks(solve, tracks.xyz_lab_m.shape[1], 1)
+    over_blocks(solve, tracks.xyz_lab_m.shape[1], 4)
 
 
 def _with_biases(trial: _Trial, tracks: _Tracks) -> _Trial:
