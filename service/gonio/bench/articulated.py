@@ -7,20 +7,19 @@ The parts are modules of :mod:`gonio.bench.joints`; each says what it measures a
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from gonio.bench import Bench
 from gonio.bench.joints.bodies import measure_bodies
 from gonio.bench.joints.carving import measure_carving
 from gonio.bench.joints.drawn import measure_drawn
 from gonio.bench.joints.one_camera import measure_balancing, measure_walkers
 from gonio.errors import GonioError
+from gonio.kernel.parallel import one_blas_thread
 
 
 def run(build_dir: Path) -> dict[str, Any]:
     """Measure all metrics of the bench, and give the content of its JSON file."""
     bench = Bench("articulated")
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         measure_bodies(bench)
         measure_carving(bench)
         measure_drawn(bench)

@@ -7,6 +7,11 @@ threads at once, or forks after the first call.
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from functools import cache
+
+import scipy.linalg  # noqa: F401 # pyright: ignore[reportUnusedImport] - so that its BLAS is found
+from threadpoolctl import ThreadpoolController
 
 
 def over_blocks(work: Callable[[int, int], None], count: int, block: int) -> None:
@@ -21,6 +26,17 @@ def over_blocks(work: Callable[[int, int], None], count: int, block: int) -> Non
         return
     with ThreadPoolExecutor(max_workers=min(len(starts), _cores())) as pool:
         list(pool.map(lambda start: work(start, min(start + block, count)), starts))
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep BLAS to one thread: of small matrices its own threads wait for each other longer than they work."""
+    return _blas().limit(limits=1, user_api="blas")
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """Find the BLAS libraries of this process, which takes some milliseconds."""
+    return ThreadpoolController()
 
 
 def _cores() -> int:

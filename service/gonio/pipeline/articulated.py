@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from gonio.errors import CaptureError, InputError
 from gonio.formats.articulated import (
@@ -27,6 +26,7 @@ from gonio.formats.background import BackgroundCard, read_background
 from gonio.formats.calibration import read_calibration, read_own_calibration
 from gonio.kernel.articulated.background import locate_pictures
 from gonio.kernel.articulated.chain import in_tree_order, solve_body
+from gonio.kernel.parallel import one_blas_thread
 from gonio.records import Background, Camera, Floor, JointMotion, LocatedPictures, Part
 from gonio.vision.background import find_background
 from gonio.vision.stills import IMAGE_SUFFIXES, read_grey
@@ -108,7 +108,7 @@ def locate(
             code="file-missing",
         )
     marked, points = _background(card, background, pictures, tracks)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         located = locate_pictures(marked)
     floor = Floor(normal=np.array([0.0, 1.0, 0.0]), offset_m=0.0) if marked.floor_points else floor_of(card)
     return Photographs(located.cameras, located.covariance, floor, located, points)
@@ -210,7 +210,7 @@ def _solve(
     left = in_tree_order(parts)
     while left:
         try:
-            with threadpool_limits(limits=1, user_api="blas"):
+            with one_blas_thread():
                 motions = solve_body(
                     photographs.cameras, left, photographs.floor, reference=reference,
                     camera_covariance=photographs.covariance,

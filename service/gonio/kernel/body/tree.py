@@ -6,6 +6,7 @@ pose in two arrays of records beside it, one record a node and one a coordinate.
 quantity took three times as long to compile and twice as long to run.)
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -62,8 +63,9 @@ class Tree(NamedTuple):
     markers: Array  # (marker,) MARKER
 
 
+@lru_cache(maxsize=16)
 def flatten(model: BodyModel) -> Tree:
-    """Lay a model out for compiled code."""
+    """Lay a model out for compiled code, which only reads it: that of the latest models is kept."""
     joints, functions, coordinates, markers = model.joints, model.functions, model.coordinates, model.markers
     couplings = np.empty(len(coordinates.names), dtype=COUPLING)
     order, driver = _coupling_order(coordinates.coupled_to)

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from gonio.errors import SolverError
 from gonio.kernel.calibration.board_terms import BOARD_UNKNOWNS, CAMERA_UNKNOWNS, measure_frames, sum_frames
-from gonio.kernel.parallel import over_blocks
+from gonio.kernel.parallel import one_blas_thread, over_blocks
 from gonio.records import record
 
 SIGMA_PX = 0.3
@@ -129,8 +128,7 @@ def adjust(
     Raises:
         SolverError: ``calibration-diverged``: the normal equations are singular, so something is not determined at all.
     """
-    # The matrices are small: BLAS's own threads would wait for each other longer than they work.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         adjusted = _round(observations, start, prior, sigma_px, inflation)
         for _ in range(ROUNDS - 1):
             if abs(adjusted.sigma_px / sigma_px - 1) < 0.1 and abs(adjusted.inflation / inflation - 1) < 0.3:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from gonio.kernel.geometry.cameras import focal_lengths_px, projection_matrices
 from gonio.kernel.geometry.transforms import transform
+from gonio.kernel.parallel import one_blas_thread
 from gonio.kernel.triangulation.points import triangulate
 from gonio.records import Rig, record
 
@@ -115,8 +115,7 @@ def adjust_poses(
         scale_px=_scale_px(estimate, focal_px, scale_m),
         prior=_prior(len(rig.cameras), delay_prior_s if velocity_px_s is not None else 0.0),
     )
-    # The matrices are small: BLAS's own threads would wait for each other longer than they work.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         return _minimise(rig, problem, estimate, max_iterations)
 
 

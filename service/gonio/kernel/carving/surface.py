@@ -4,11 +4,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numba import njit
 from skimage.measure import marching_cubes
-from threadpoolctl import threadpool_limits
 
 from gonio.kernel.carving.hull import carve
 from gonio.kernel.carving.raster import draw, project_vertices
 from gonio.kernel.carving.views import HIDDEN, SHOWN, Pinhole, stack_of, view_of
+from gonio.kernel.parallel import one_blas_thread
 from gonio.records import CarvedPart, Hull, Mesh, Silhouette
 
 VOXELS = 128
@@ -30,7 +30,7 @@ def carve_part(silhouettes: tuple[Silhouette, ...], voxels: int = VOXELS) -> Car
         CaptureError: ``hull-unbounded`` or ``hull-empty``.
     """
     # BLAS's own threads would spend as long again in waiting for each other as all the work takes.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         views = tuple(view_of(silhouette) for silhouette in silhouettes)
         hull = carve(stack_of(views), voxels)
         mesh, overlap = _painted(surface_of(hull), views, hull.step_m)

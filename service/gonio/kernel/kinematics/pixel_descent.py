@@ -34,6 +34,9 @@ MAX_ITERATIONS = 100
 LARGEST_STEP_RAD = 0.6
 REMEMBERED = 8
 
+SHORTEST, OFTEN = 0.1, 3
+"""A step that leads uphill is shortened once, to no less than this share; where that happens so often, the equations are old."""
+
 ROUGHLY = 1e-3
 """How well, as a share of the cost, it has settled where the noise level is estimated once more."""
 
@@ -87,7 +90,7 @@ def minimise(
                 return Found(descent.state, descent.sigma_px, iteration, converged=True)
             settled = True
             descent.weigh(estimate_noise_px(trial, descent.state))
-        elif gain < 0 or gain > FAR * descent.cost:
+        elif gain < 0 or gain > FAR * descent.cost or descent.shortened == OFTEN:
             descent.factorise()
     return Found(descent.state, descent.sigma_px, MAX_ITERATIONS, converged=False)
 
@@ -109,7 +112,7 @@ class _Descent:
         """Factorise the normal equations where the descent is now, and forget what older gradients told."""
         equations = self._linearise(self.state, NORMAL_EQUATIONS)
         self._step: Step = prepare_step(self._trial, equations, self._damping, shared=self._shared)
-        self._is_fresh = True
+        self._is_fresh, self.shortened = True, 0
         self._pairs: deque[tuple[np.ndarray, np.ndarray, float]] = deque(maxlen=REMEMBERED)
         self.cost, self._gradient = equations.cost, gradient_of(equations, shared=self._shared)
 
@@ -130,10 +133,13 @@ class _Descent:
         largest_rad = float(np.abs(step[: self._size]).max())
         if largest_rad > LARGEST_STEP_RAD:
             step *= LARGEST_STEP_RAD / largest_rad
-        state = moved(self.state, as_change(self._trial, step))
-        equations = self._linearise(state, GRADIENT)
-        gain = self.cost - equations.cost
-        expected = 0.5 * float(step @ self._gradient)
+        slope = float(step @ self._gradient)
+        state, equations, gain = self._try(step)
+        if gain < 0:  # too long: as far as a parabola through what is known now falls, costs a tenth of factorising
+            step *= max(0.5 * slope / (slope - gain), SHORTEST)
+            state, equations, gain = self._try(step)
+            self.shortened += 1
+        expected = 0.5 * slope
         if gain >= 0:
             gradient = gradient_of(equations, shared=self._shared)
             fallen = self._gradient - gradient  # both point downhill
@@ -146,6 +152,12 @@ class _Descent:
             self._damping *= 10.0
         self._is_fresh = False
         return largest_rad, expected, gain
+
+    def _try(self, step: Float[np.ndarray, " unknown"]) -> tuple[State, Equations, float]:
+        """Go a step, and give what it takes off the cost."""
+        state = moved(self.state, as_change(self._trial, step))
+        equations = self._linearise(state, GRADIENT)
+        return state, equations, self.cost - equations.cost
 
     def _direction(self) -> Float[np.ndarray, " unknown"]:
         """Turn the gradient into a step, by the two loops of BFGS."""

@@ -353,7 +353,8 @@ def _sum_all(tree: Tree, sight: Sight, layout: Layout, q: np.ndarray, shared: in
 
     over_blocks(work, frames, _BLOCK)
     corner = corners.sum(axis=0)
-    corner += np.tril(corner, -1).T
+    if curved:
+        corner += np.tril(corner, -1).T
     return Sums(hessian, gradient, border, corner, shared_gradients.sum(axis=0), error), float(costs.sum())
 
 

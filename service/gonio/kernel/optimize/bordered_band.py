@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.blas import dtrmm, dtrsm, get_blas_funcs
-from scipy.linalg.lapack import dpbtrf, dtbtrs
+from scipy.linalg.lapack import dpbtrf, dpotrs, dtbtrs
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,7 @@ class BorderedFactor:
     ) -> tuple[Float[np.ndarray, " unknown"], Float[np.ndarray, " shared"]]:
         """Give ``x`` and ``y``."""
         own, kind = self.inner.solve_lower(g), self.carried.dtype  # BLAS wants both sides of one kind
-        y = solve_triangular(self.schur, h - self.carried.T @ own.astype(kind), lower=True, check_finite=False)
-        y = solve_triangular(self.schur, y, lower=True, trans="T", check_finite=False)
+        y = dpotrs(self.schur, h - self.carried.T @ own.astype(kind), lower=1)[0]
         return self.inner.solve_upper(own - self.carried @ y.astype(kind)), y
 
     def border_inverse(self) -> Float[np.ndarray, "shared shared"]:

@@ -26,7 +26,7 @@ LOWEST_INFORMATION = 1e-6  # 1/m²: a track without any observation stays where 
 KEPT = 0.25
 """A camera counts as having seen a point where the loss leaves it more than this share of its weight."""
 
-MOST_JUDGED = 50
+MOST_JUDGED = 25
 """Moments of which it is computed what they would say alone."""
 
 
