@@ -81,7 +81,7 @@ def test_a_track_does_not_jump_where_a_camera_with_a_constant_error_drops_out(ri
     found = fuse_all(rig, uv_px, confidence)
     apart = found.xyz_lab_m[35:55].mean(axis=0) - found.xyz_lab_m[np.r_[5:25, 65:85]].mean(axis=0)
     # Points of three cameras and of four are 13 mm apart.
-    assert np.sqrt((apart**2).sum(axis=-1).mean()) < 0.001
+    assert np.sqrt((apart**2).sum(axis=-1).mean()) < 0.002
 
 
 def test_constant_errors_are_found_and_their_part_of_the_covariance_holds_the_truth(rig: Rig) -> None:

@@ -35,7 +35,7 @@ LARGEST_STEP_RAD = 0.6
 REMEMBERED = 8
 
 SHORTEST, OFTEN = 0.1, 3
-"""A step that leads uphill is shortened once, to no less than this share; where that happens so often, the equations are old."""
+"""A step that leads uphill is shortened once, to this share at least; where that happens so often, the equations are old."""
 
 ROUGHLY = 1e-3
 """How well, as a share of the cost, it has settled where the noise level is estimated once more."""

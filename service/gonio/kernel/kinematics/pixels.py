@@ -139,7 +139,7 @@ def fit_pixels(
     after, start = (start, start.motion) if isinstance(start, PixelFit) else (None, start)
     state = _start(trial, start, after)
     chosen = _sample(uv_px.shape[1])
-    progress = _Stages(on_progress, 4 + len(_windows(uv_px.shape[1])))
+    progress = _Stages(on_progress, 3 + len(_windows(uv_px.shape[1])))
     with one_blas_thread():
         solved = _solve_sample(_part(trial, chosen), replace(state, q=state.q[chosen]), progress)
         equations = _linearise(solved)

@@ -41,6 +41,10 @@ LEAST_BIAS_M, SHARPEST_PX = 1e-4, 0.1
 """Neither constant errors nor the others are ever believed to be smaller than this: exact points must not make the equations
 singular."""
 
+LARGEST_BIAS_M = 0.0045
+"""Nor are constant errors believed to be larger, at confidence 1: a habit that changes slowly, as the person turns, looks
+constant in a short trial; with a looser belief every other look finds other constants. In the covariance they count in full."""
+
 LONGEST_SPAN_S = 0.2
 """Observations that are farther apart leave a gap: the track between them would be invented."""
 
@@ -122,16 +126,23 @@ class _Trial(NamedTuple):
     weight: Float[np.ndarray, "camera frame keypoint"]
     stiffness: float
     bias_sd_m: float = 0.0
+    spread: float = 1.0
     lasting: float = 1.0
     excess: float = 1.0
+
+    @property
+    def trust(self) -> Float[np.ndarray, "camera keypoint"]:
+        """The mean weight of each camera's observations of each keypoint; 1 without any."""
+        count = (self.weight > 0).sum(axis=1)
+        return np.where(count, self.weight.sum(axis=1) / np.maximum(count, 1), 1.0)
 
     def track(self, keypoint: int) -> Track:
         """Give one keypoint's observations."""
         observed = (self.px_per_m[:, :, keypoint], self.uv_px[:, :, keypoint], self.weight[:, :, keypoint])
         px_per_m, uv_px, weight = map(np.ascontiguousarray, observed)
-        return Track(
-            self.projections, px_per_m, uv_px, weight, self.stiffness, self.bias_sd_m, self.lasting, self.excess
-        )
+        trust = np.ascontiguousarray(self.trust[:, keypoint])
+        believed = (self.stiffness, self.bias_sd_m, self.spread, self.lasting, self.excess)
+        return Track(self.projections, px_per_m, uv_px, weight, trust, *believed)
 
 
 def _solve(trial: _Trial, tracks: _Tracks, scales_m: tuple[float, ...]) -> None:
@@ -155,7 +166,7 @@ def _with_biases(trial: _Trial, tracks: _Tracks) -> _Trial:
     """Find from tracks that know nothing of constant errors how large those are, and how long the others last.
 
     The constant errors' spread is that of the residuals' means, less what those would vary by without them. A track goes
-    along with three of a moment's degrees of freedom, which the residuals lack.
+    along with three of the means' degrees of freedom, which are two for each camera.
     """
     kept = tracks.camera_weight > KEPT
     inlier = kept & (kept.sum(axis=0) >= 2)
@@ -175,10 +186,15 @@ def _with_biases(trial: _Trial, tracks: _Tracks) -> _Trial:
     lasting = repeats(left, inlier)
     level = float(np.median((left[inlier] ** 2).sum(axis=-1))) / 1.386
     excess = lasting * max(level, (SHARPEST_PX / SIGMA_PX) ** 2)
-    freedom = 2.0 * inlier.sum() / inlier.any(axis=0).sum()
-    variance_m2 = float(np.mean((mean_m[seen] ** 2).mean(axis=-1) - excess / information[seen]))
-    bias_sd_m = np.sqrt(max(variance_m2 * freedom / (freedom - 3.0), LEAST_BIAS_M**2))
-    return trial._replace(bias_sd_m=bias_sd_m, lasting=lasting, excess=excess)
+    # By how many cameras: those that look at other moments see the same track.
+    known = seen.any(axis=0)
+    cameras = (information.sum(axis=0)[known] ** 2 / (information**2).sum(axis=0)[known]).mean()
+    freedom = max(2.0 * float(cameras), 4.0)
+    variances_m2 = (mean_m[seen] ** 2).mean(axis=-1) - excess / information[seen]
+    variance_m2 = float(np.mean(variances_m2 * trial.trust[seen]))
+    spread_m = np.sqrt(max(variance_m2 * freedom / (freedom - 3.0), LEAST_BIAS_M**2))
+    bias_sd_m = min(spread_m, LARGEST_BIAS_M)
+    return trial._replace(bias_sd_m=bias_sd_m, spread=spread_m / bias_sd_m, lasting=lasting, excess=excess)
 
 
 def mark_spans(points: LabPoints, tracks: FusedTracks) -> LabPoints:

@@ -41,8 +41,12 @@ class Track(NamedTuple):
     px_per_m: Array  # (camera, frame)
     uv_px: Array  # (camera, frame, 2)
     weight: Array  # (camera, frame), of the observations; 0 is missing
+    trust: (
+        Array  # (camera,): the usual weight of its observations; a constant error's variance goes with its inverse, too
+    )
     stiffness: float  # of the penalty on third differences, 1/m²
-    bias_sd_m: float  # of a constant error; 0 holds them
+    bias_sd_m: float  # of a constant error, where observations have the weight 1; 0 holds them
+    spread: float  # how many times larger constant errors are than believed, as the trial's residuals tell
     lasting: float
     excess: float
 
@@ -100,7 +104,7 @@ def _describe(track: Track, x: Array, equations: _Equations, border: Array, shar
     invert_within(equations.band, inverse)
     factor = _inflation(track, x, equations, inverse)
     substitute_back(equations.band, border)
-    carried = border @ (track.excess * shared)
+    carried = border @ (track.excess * track.spread**2 * shared)
     for t in range(len(x)):
         for i in range(3):
             for j in range(i + 1):
@@ -180,7 +184,7 @@ def _assemble(track: Track, x: Array, bias_m: Array, scale_m: float, equations: 
     band[:], right[:], equations.corner[:], equations.kept[:] = 0.0, 0.0, 0.0, 0.0
     frames = len(x)
     for i in range(len(equations.below)):
-        precision = track.excess / track.bias_sd_m**2
+        precision = track.excess * track.trust[i // 2] / track.bias_sd_m**2
         equations.corner[i, i] = precision
         equations.below[i] = -precision * bias_m[i // 2, i % 2]
     for t in range(frames):
