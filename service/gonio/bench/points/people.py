@@ -5,6 +5,7 @@ another has been switched; one who is :data:`NOBODY_M` from everybody for most o
 already, is a ghost.
 """
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -88,7 +89,8 @@ def _run_pose2sim(build_dir: Path, rig: Rig, company: Company, seed: int) -> lis
     """Let Pose2Sim associate and triangulate, and give the middles of the persons' hips."""
     python = peer_python(build_dir, "pose2sim", "pose2sim==0.10.49")
     folder = (build_dir / "bench" / "people" / str(seed)).resolve()
-    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier run
+    folder.mkdir(parents=True)
     seen = company.sightings
     order = [seen.keypoint_names.index(name) for name in gonio_names(BODY_25B)]
     np.savez(
