@@ -29,7 +29,6 @@ def carve_part(silhouettes: tuple[Silhouette, ...], voxels: int = VOXELS) -> Car
         InputError: A silhouette is unusable (see :func:`view_of`).
         CaptureError: ``hull-unbounded`` or ``hull-empty``.
     """
-    # BLAS's own threads would spend as long again in waiting for each other as all the work takes.
     with one_blas_thread():
         views = tuple(view_of(silhouette) for silhouette in silhouettes)
         hull = carve(stack_of(views), voxels)

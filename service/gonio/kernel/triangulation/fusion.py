@@ -96,7 +96,9 @@ def fuse(
     usual = 2.0 * float(np.nanmedian(px_per_m) ** 2) / SIGMA_PX**2
     stiffness = usual / (2.0 * np.sin(np.pi * min(cutoff_hz, 0.45 * rate_hz) / rate_hz)) ** 6
     seen = np.where(weight[..., None] > 0, uv_px, 0.0)
-    trial = _Trial(projections.astype(float, order="C"), px_per_m, seen, weight, stiffness)
+    count = (weight > 0).sum(axis=1)
+    trust = np.where(count, weight.sum(axis=1) / np.maximum(count, 1), 1.0)
+    trial = _Trial(projections.astype(float, order="C"), px_per_m, seen, weight, trust, stiffness)
     tracks = _Tracks(
         xyz_lab_m=xyz,
         covariance_m2=np.full((*xyz.shape[:2], 3, 3), np.nan),
@@ -124,17 +126,12 @@ class _Trial(NamedTuple):
     px_per_m: Float[np.ndarray, "camera frame keypoint"]
     uv_px: Float[np.ndarray, "camera frame keypoint 2"]
     weight: Float[np.ndarray, "camera frame keypoint"]
+    trust: Float[np.ndarray, "camera keypoint"]
     stiffness: float
     bias_sd_m: float = 0.0
     spread: float = 1.0
     lasting: float = 1.0
     excess: float = 1.0
-
-    @property
-    def trust(self) -> Float[np.ndarray, "camera keypoint"]:
-        """The mean weight of each camera's observations of each keypoint; 1 without any."""
-        count = (self.weight > 0).sum(axis=1)
-        return np.where(count, self.weight.sum(axis=1) / np.maximum(count, 1), 1.0)
 
     def track(self, keypoint: int) -> Track:
         """Give one keypoint's observations."""

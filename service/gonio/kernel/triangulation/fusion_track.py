@@ -41,11 +41,9 @@ class Track(NamedTuple):
     px_per_m: Array  # (camera, frame)
     uv_px: Array  # (camera, frame, 2)
     weight: Array  # (camera, frame), of the observations; 0 is missing
-    trust: (
-        Array  # (camera,): the usual weight of its observations; a constant error's variance goes with its inverse, too
-    )
+    trust: Array  # (camera,): the mean weight of its observations, 1 without any
     stiffness: float  # of the penalty on third differences, 1/m²
-    bias_sd_m: float  # of a constant error, where observations have the weight 1; 0 holds them
+    bias_sd_m: float  # of a constant error where the trust is 1, its variance going with the inverse; 0 holds them
     spread: float  # how many times larger constant errors are than believed, as the trial's residuals tell
     lasting: float
     excess: float
